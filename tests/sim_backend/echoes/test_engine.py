@@ -99,7 +99,13 @@ def test_moved_scatterer_echoes_later_by_the_two_way_delay():
 
 
 @pytest.mark.parametrize(
-    "bandwidth", [0.065, pytest.param(0.4, marks=pytest.mark.slow), 0.75, pytest.param(2.0, marks=pytest.mark.slow)]
+    "bandwidth",
+    [
+        0.065,
+        pytest.param(0.4, marks=pytest.mark.slow),
+        pytest.param(0.75, marks=pytest.mark.slow),
+        pytest.param(2.0, marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize("axial_delay", ["two_way", "none"])
 def test_echoes_meet_their_tolerance(bandwidth, axial_delay):

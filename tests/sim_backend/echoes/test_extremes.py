@@ -74,8 +74,10 @@ def direct_at(delay_s, weight, time_s):
     return out
 
 
-@pytest.mark.parametrize("make", [hann_pulse, gaussian_pulse])
-@pytest.mark.parametrize("bandwidth", [0.001, 0.01, 0.1, 1.0, 2.0])
+@pytest.mark.parametrize("make", [hann_pulse, pytest.param(gaussian_pulse, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "bandwidth", [0.001, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.01, 0.1, 1.0)), 2.0]
+)
 def test_every_bandwidth_from_a_thousandth_to_two(make, bandwidth):
     tau, weight, g = (part[::4] for part in scene(2))
     pulse, motion = make(9.0e6, bandwidth), moving(tau, g, 1e-6, CYCLE[:3])

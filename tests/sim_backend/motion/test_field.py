@@ -111,7 +111,9 @@ def test_modes_on_the_axis_follow_the_exact_transient(gelatin):
 @pytest.mark.parametrize(
     "medium",
     [
-        {"medium": "maxwell", "shear_modulus_pa": 1.9e3, "shear_viscosity_pa_s": 6.5},
+        pytest.param(
+            {"medium": "maxwell", "shear_modulus_pa": 1.9e3, "shear_viscosity_pa_s": 6.5}, marks=pytest.mark.slow
+        ),
         {"medium": "maxwell", "shear_modulus_pa": 48e3, "shear_viscosity_pa_s": 0.97},
         {"medium": "power_law", "power": 0.6},
     ],

@@ -43,7 +43,9 @@ def test_the_axis_is_oneils_closed_form(frequency_hz: float, attenuation: float)
     assert np.abs(pressure_of_bowl - expected).max() < 1e-11 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("kind", ["uniform", "parabolic", "hann"])
+@pytest.mark.parametrize(
+    "kind", ["hann", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("uniform", "parabolic"))]
+)
 def test_off_the_axis_it_is_the_rayleigh_integral(kind: str) -> None:
     transducer = Transducer.model_validate({"apodisation": kind})
     k = wave_number(9.0e6, 1540.0, 0.5)

@@ -429,7 +429,7 @@ def fuzzing(examples: int) -> settings:
     return settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-@fuzzing(30)
+@fuzzing(10)
 @given(STREAMS)
 def test_after_any_words_and_bytes_the_next_client_is_served(target: tuple[str, Emulator], data: bytes) -> None:
     transport, emulator = target
