@@ -54,7 +54,7 @@ def test_the_true_motion_is_that_of_the_medium_at_the_offset(lateral_offset_m: f
     settings = SimulationSettings(specimen=Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0))
     onset_ps = np.arange(40) * 10**10
     push = Bursts(onset_ps, onset_ps + 10**9, np.full(40, 3e6), np.full(40, 3000.0), np.ones(40))
-    time_ps = 30 * 10**10 + np.arange(4000) * (10**10 // 400) + round(45.4545e6)
+    time_ps = 30 * 10**10 + np.arange(400) * (10**10 // 400) + round(45.4545e6)
     width = (0.17e-3, 0.17e-3, 1.8e-3)
     moved = {at: Acoustics(settings, at).focus_displacement_m(push, time_ps, 0) for at in (0.0, lateral_offset_m)}
     turn = np.exp(-2j * np.pi * 100.0 * time_ps * 1e-12)

@@ -100,13 +100,13 @@ def test_each_draw_may_have_its_own_motion():
 
 
 def test_thinned_draws_have_the_count_and_the_positions_of_full_draws():
-    field = draw_thinned(SETTINGS, (-1e-6, 1.5e-6), 0.0, np.random.default_rng(2), 2000)
+    field = draw_thinned(SETTINGS, (-1e-6, 1.5e-6), 0.0, np.random.default_rng(2), 500)
     fraction = (1e-6 + 1.5e-6) * SOUND_SPEED / 2 / 5e-3
-    count = np.bincount(field.row, minlength=2000)
-    # Binomial of 1593: five standard errors of mean and variance over 2000 draws.
+    count = np.bincount(field.row, minlength=500)
+    # Binomial of 1593: five standard errors of mean and variance over 500 draws.
     sd = np.sqrt(1593 * fraction * (1 - fraction))
-    assert count.mean() == pytest.approx(1593 * fraction, abs=5 * sd / np.sqrt(2000))
-    assert count.var() == pytest.approx(sd**2, rel=5 * np.sqrt(2 / 2000))
+    assert count.mean() == pytest.approx(1593 * fraction, abs=5 * sd / np.sqrt(500))
+    assert count.var() == pytest.approx(sd**2, rel=5 * np.sqrt(2 / 500))
     position = (field.delay_s + 1e-6) / 2.5e-6
     assert ((position >= 0) & (position < 1)).all()
     assert position.mean() == pytest.approx(0.5, abs=5 / np.sqrt(12 * len(position)))
