@@ -7,7 +7,6 @@
     problem.py           least-squares problem: y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; G, A_p, B)
     inversion.py         the fit: minima, covariance, evidence of each material law, contributions of the data
     wavenumber_fit.py    phase velocity and attenuation: of a fitted law, and fitted frequency by frequency
-    shear_speed.py       plane-wave moduli from the phase's fall with distance, for comparison
     outcome.py           results of all laws as text and JSON
     figure.py            figure of measured and fitted vibrations
     wave_methods.py      phase gradient, 2-D FT, GST-SFK, LPVI and amplitude decay, for comparison

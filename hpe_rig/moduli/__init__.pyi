@@ -11,7 +11,6 @@ from .outcome import (
     moduli_of as moduli_of,
     moduli_of_map as moduli_of_map,
     moduli_schema as moduli_schema,
-    plane_wave_of as plane_wave_of,
 )
 from .run_vibrations import Source as Source, vibrations_of as vibrations_of
 from .scene_geometry import push_of as push_of, vibration_at as vibration_at

@@ -1,4 +1,4 @@
-"""Result of an inversion: the laws that explain the vibrations, most likely first, and the plane-wave moduli."""
+"""Result of an inversion: the laws that explain the vibrations, most likely first."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from hpe_rig.moduli.inversion import Contribution, Moduli, compare_media
 from hpe_rig.moduli.map_vibrations import push_of_map, vibrations_of_map
 from hpe_rig.moduli.run_vibrations import Source, vibrations_of
 from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
-from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 from hpe_rig.moduli.vibration_model import Push, Vibration
 from hpe_rig.moduli.wavenumber_fit import DispersionCurve, curve_of_law
 from hpe_rig.result import MotionMap, dataclass_schema, json_values, object_schema, titled, with_u
@@ -41,9 +40,7 @@ class ModuliResult:
     """Media fitted to the vibrations of one or more runs, the most likely first.
 
     ``probability`` of each, from equal priors; ``dispersion``: phase velocity and attenuation in each. ``omitted``:
-    data that were left out, in words. ``plane_wave``: the Voigt moduli from the phase's fall with distance, for
-    comparison, since near the push the wave is not plane. It is None for one lateral offset or a phase that does not
-    fall; ``why_not`` is the reason.
+    data that were left out, in words.
     """
 
     title: str
@@ -53,8 +50,6 @@ class ModuliResult:
     dispersion: tuple[DispersionCurve, ...]
     vibrations: tuple[Vibration, ...]
     omitted: tuple[str, ...]
-    plane_wave: Voigt | None
-    why_not: str
 
     @property
     def best(self) -> Moduli:
@@ -99,7 +94,6 @@ class ModuliResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as a dictionary of plain values for JSON, with the keys of ``moduli_schema``."""
-        wave = self.plane_wave
         laws = zip(self.fits, self.probability, self.dispersion, strict=True)
         modelled = zip(self.vibrations, self.best.modelled_m, strict=True)
         plain: dict[str, Any] = json_values(
@@ -121,7 +115,6 @@ class ModuliResult:
                     }
                     for vibration, model_m in modelled
                 ],
-                "plane_wave": wave and {"shear_modulus_pa": wave.elasticity_pa, "viscosity_pa_s": wave.viscosity_pa_s},
             }
         )
         return plain
@@ -180,14 +173,12 @@ def moduli_schema() -> dict[str, Any]:
     }
     curves = ("frequency_hz", "amplitude_m", "phase_rad", "modelled_amplitude_m", "modelled_phase_rad")
     gate = {"label": str, "lateral_m": float, "axial_m": float, **dict.fromkeys(curves, tuple[float, ...])}
-    wave = object_schema("Voigt moduli of a plane wave.", {"shear_modulus_pa": float, "viscosity_pa_s": float})
     result = {
         "title": str,
         "simulated": bool,
         "omitted": tuple[str, ...],
         "fits": {"type": "array", "items": object_schema(Moduli.__doc__ or "", fit)},
         "places": {"type": "array", "items": object_schema("Measured and fitted vibration in one gate.", gate)},
-        "plane_wave": {"anyOf": [{"type": "null"}, wave]},
     }
     return titled("Moduli of hpe-rig", object_schema(ModuliResult.__doc__ or "", result))
 
@@ -245,7 +236,6 @@ def _fitted(
     # Every law is fitted, because the user needs to know which ones the data exclude.
     fits, probability = compare_media(vibrations, push, laws)
     frequency_hz = np.unique(np.concatenate([vibration.frequency_hz for vibration in vibrations]))
-    wave, why_not = plane_wave_of(vibrations, push.density_kg_per_m3)
     return ModuliResult(
         title=title,
         simulated=False,
@@ -254,35 +244,11 @@ def _fitted(
         dispersion=tuple(curve_of_law(fit, frequency_hz, push.density_kg_per_m3) for fit in fits),
         vibrations=tuple(vibrations),
         omitted=tuple(omitted),
-        plane_wave=wave,
-        why_not=why_not,
     )
 
 
-def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> tuple[Voigt | None, str]:
-    """Return Voigt moduli from the shear wave's phase over lateral offset, for comparison; else None and the reason.
-
-    They use the frequencies common to all vibrations. Near the push the wave is not plane, so they are biased.
-    """
-    common_hz = sorted(set.intersection(*(set(vibration.frequency_hz.tolist()) for vibration in vibrations)))
-    at_common = [
-        vibration.at_frequencies(np.isin(vibration.frequency_hz, common_hz))
-        for vibration in sorted(vibrations, key=lambda vibration: abs(vibration.lateral_m))
-    ]
-    # The noise across the phasor is nearly that of A cos(phase); it only weights the phases.
-    sigma = [np.sqrt(np.diag(vibration.covariance_m2)[::2]) / np.abs(vibration.phasor_m) for vibration in at_common]
-    offset_m = [abs(vibration.lateral_m) for vibration in at_common]
-    phase_rad = np.array([np.angle(vibration.phasor_m) for vibration in at_common])
-    frequency_hz = at_common[0].frequency_hz
-    try:
-        speed = shear_speed(offset_m, frequency_hz, phase_rad, np.array(sigma))
-        return fit_voigt(frequency_hz, *speed, density_kg_per_m3), ""
-    except ValueError as error:
-        return None, str(error)
-
-
 def _lines(result: ModuliResult) -> Iterator[str]:
-    """Yield the lines of a result's text: data, every law with its fit, plane wave, and omitted vibrations."""
+    """Yield the lines of a result's text: data, every law with its fit, and omitted vibrations."""
     yield result.title
     yield _data_line(result)
     yield ""
@@ -293,12 +259,6 @@ def _lines(result: ModuliResult) -> Iterator[str]:
         if fit is result.best or not fit.excluded:
             yield from (f"  {line}" for line in _fit_lines(fit))
             yield f"  phase velocity {_speed_text(dispersion, 0)}, {_speed_text(dispersion, -1)}"
-    if result.plane_wave is not None:
-        wave = result.plane_wave
-        yield f"plane wave, for comparison: mu1 {wave.elasticity_pa * 1e-3:.4g} kPa, mu2 {wave.viscosity_pa_s:.3g} Pa s"
-        yield "  within one or two wavelengths of the push the wave is not plane: its speed is a sixth too low"
-    else:
-        yield f"plane wave: {result.why_not}"
     if result.best.excluded:
         yield "no fitted medium explains these vibrations. Try: check widths, lateral offsets and the assumed laws"
     yield from (f"omitted: {line}" for line in result.omitted)

@@ -21,7 +21,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.medium import HarmonicMedium, PushForce, TrackedRegion, shear_motion
-from hpe_rig.moduli import DispersionCurve, Push, Vibration, dispersion_of_vibrations, fit_wavenumbers, plane_wave_of
+from hpe_rig.moduli import DispersionCurve, Push, Vibration, dispersion_of_vibrations, fit_wavenumbers
 
 FREQUENCY_HZ = np.arange(100.0, 1001.0, 100.0)
 OFFSETS_M = np.array([1.0, 2.25, 3.5, 4.75, 6.0]) * 1e-3
@@ -73,7 +73,6 @@ def print_bias() -> None:
     print(f"| medium | sigmas, offsets | method | {columns} |\n|---|---|---|{'---:|' * len(shown)}")
     geometries = [(SIGMA_M, OFFSETS_M, MEDIA), (NARROW_SIGMA_M, NEAR_OFFSETS_M, (TRUE,))]
     cases = [(sigma_m, offsets_m, medium) for sigma_m, offsets_m, media in geometries for medium in media]
-    moduli = []
     for sigma_m, offsets_m, medium in cases:
         push = push_of(sigma_m)
         field = exact_field(medium, push, offsets_m)
@@ -84,9 +83,6 @@ def print_bias() -> None:
             true = true_wave(medium)[method.is_attenuation]
             errors = 100 * (method.value / true - 1)
             print(f"| {name} | {method.name} | {' | '.join(f'{errors[i]:+.1f}' for i in shown)} |")
-        wave, _ = plane_wave_of(measured, 1000.0)
-        moduli.append(f"{name}: {100 * (wave.elasticity_pa / medium[0] - 1):+.1f} %" if wave else f"{name}: none")
-    print("\nmu1 of a plane Voigt wave from the same phases:", *moduli, sep="\n* ")
 
 
 def draw(seed: int) -> dict[str, Any]:

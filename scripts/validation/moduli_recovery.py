@@ -1,4 +1,4 @@
-"""Measure bias, standard deviation and coverage of fitted moduli on the twin, and of plane-wave moduli.
+"""Measure bias, standard deviation and coverage of fitted moduli on the twin.
 
 A seed draws all quantities with a stated uncertainty: scatterers and noise; the widths of the force (5 % each);
 lateral offset (20 um), gain (0.5 %) and phase (2 mrad) of the transducer; and the onset of the bursts at the focus
@@ -35,7 +35,6 @@ from hpe_rig.moduli import (
     Vibration,
     bound,
     fit_medium,
-    plane_wave_of,
     push_of,
     vibration_at,
     vibrations_of,
@@ -113,10 +112,7 @@ def trial(name: str, seed: int, path: Path) -> Trial:
     truth = MEDIA.get(name)
     bounds = {} if truth is None else {key: _bound(group, push, truth) for key, group in groups.items()}
     return Trial(
-        values={
-            **{key: np.array(list(fit.values.values())) for key, fit in fits.items()},
-            "plane": plane_wave(vibrations),
-        },
+        values={key: np.array(list(fit.values.values())) for key, fit in fits.items()},
         stated={key: np.array(list(fit.uncertainty.values())) for key, fit in fits.items()},
         bounds={key: bounds.get(key, unknown) for key in groups},
         excluded={"voigt": fits["five"].excluded, "zener": zener.excluded},
@@ -172,14 +168,6 @@ def draw_scene(scene: Scene, name: str, seed: int, rng: np.random.Generator) -> 
     return changed.with_({"simulation.specimen.force_density_n_per_m3": force})
 
 
-def plane_wave(vibrations: Sequence[Vibration]) -> FloatArray:
-    """Return the Voigt moduli (2,) of a plane wave; NaN if the phase does not fall with distance."""
-    wave, _ = plane_wave_of(vibrations, 1000.0)
-    if wave is None:
-        return np.full(2, np.nan)
-    return np.array([wave.elasticity_pa, wave.viscosity_pa_s])
-
-
 def _plain(vibration: Vibration) -> dict[str, Any]:
     arrays = {
         "frequency_hz": vibration.frequency_hz,
@@ -227,10 +215,6 @@ def rows(name: str, trials: Sequence[Trial]) -> list[str]:
             for i in range(2)
         ]
         lines.append(f"| {medium} | {len(trials)} | {key} | {' | '.join(cells)} |")
-    plane = np.array([item.values["plane"] for item in trials]) / truth - 1
-    valid = np.isfinite(plane[:, 0])
-    cells = [f"{100 * plane[valid, i].mean():+.0f} | {100 * plane[valid, i].std(ddof=1):.1f} | | | |" for i in range(2)]
-    lines.append(f"| {medium} | {valid.sum()} | plane wave | {' '.join(cells)}")
     corrections = np.concatenate([item.lateral for item in trials])
     return [
         *lines,

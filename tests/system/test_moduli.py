@@ -59,9 +59,6 @@ def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
         assert best.uncertainty[name] < (0.05 if short else 0.015) * true
     assert not best.excluded
     assert {fit.law for fit in result.fits if fit.excluded} == ({"maxwell"} if short else {"power_law", "maxwell"})
-    # the plane wave, from the same phases, is off by far more than the field
-    assert result.plane_wave is not None
-    assert abs(result.plane_wave.elasticity_pa / 7.25e3 - 1) > 0.1
     assert "Voigt" in str(result)
     assert as_its_schema_says(result)["fits"][0]["law"] == "voigt"
     assert len(result.figure().axes) == 2
@@ -122,11 +119,10 @@ def test_two_runs_of_one_offset_each_give_the_moduli(tmp_path: Path) -> None:
     scene = load_scene("gelatin-moduli")
     parts = [hpe.measure(scene.with_(each), path=tmp_path / f"{i}.h5") for i, each in enumerate((one_place, other))]
     both, alone = hpe.fit_moduli(*parts, laws=["voigt"]), hpe.fit_moduli(parts[0], laws=["voigt"])
-    assert as_its_schema_says(alone)["plane_wave"] is None
+    as_its_schema_says(alone)
     name = "shear_modulus_pa"
     assert abs(both.best.values[name] - 7.25e3) < 3 * both.best.uncertainty[name]
     assert both.best.uncertainty[name] < alone.best.uncertainty[name] / 2
-    assert alone.plane_wave is None
 
 
 def test_the_command_prints_what_the_function_returns(run: hpe.Run, tmp_path: Path) -> None:
