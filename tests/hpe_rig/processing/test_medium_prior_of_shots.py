@@ -212,7 +212,7 @@ def test_harmonics_that_alias_near_fitted_ones_are_no_drift(harmonic: str) -> No
     """In 40 ms least squares cannot distinguish 2100 Hz, which aliases to 1890 Hz, from 1900 Hz."""
     scene = run().scene.with_({"processing.harmonic": harmonic, "processing.window_length_s": 40e-3})
     short = replace(run(), scene=scene)
-    (steady,), (first,) = (each.estimate().shots for each in (short, short.with_drift("linear")))
+    (steady,), (first,) = (each.estimate().shots for each in (short, short.with_({"processing.drift": "linear"})))
     assert not [text for text in steady.warnings if "the motion changes" in text]
     for mean, estimate in zip(steady.estimates, first.estimates, strict=True):
         assert mean.true_phase_rad is not None
@@ -233,7 +233,8 @@ def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None
         assert abs(first.amplitude_m - mean.amplitude_m) < 3 * drift.amplitude_m
         assert abs(first.phase_rad - mean.phase_rad) < 3 * drift.phase_rad
         assert first.true_amplitude_m is None
-    (reason,) = [why for what, why in run().with_drift("linear").estimate().omitted if what.endswith("true values")]
+    linear = run().with_({"processing.drift": "linear"}).estimate()
+    (reason,) = [why for what, why in linear.omitted if what.endswith("true values")]
     assert "first pulse" in reason
 
 
