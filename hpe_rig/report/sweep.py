@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result import Estimate, ShotResult, force_format
+from hpe_rig.result import Estimate, ShotResult, setting_table
 
 FORCE = "force F / F_0"
 PROPORTIONAL = (FORCE, "excitation.force_fraction")
@@ -65,46 +65,15 @@ class Sweep:
         return self.label in PROPORTIONAL
 
 
-@dataclass(frozen=True, slots=True)
-class _Setting:
-    """A setting that may differ between shots: label of its axis, attribute, scale, and text in the name of a curve."""
-
-    label: str
-    attribute: str
-    scale: float
-    form: str
-
-    def value(self, shot: ShotResult) -> float | None:
-        value: float | None = getattr(shot, self.attribute)
-        return None if value is None else value * self.scale
-
-    def text(self, shot: ShotResult, format_of_force: str = "") -> str:
-        value = self.value(shot)
-        return "" if value is None else self.form.format(value, force=format_of_force)
-
-    def varies(self, shots: Sequence[ShotResult]) -> bool:
-        return len({self.value(shot) for shot in shots}) > 1
-
-
-LATERAL = _Setting("lateral offset (mm)", "lateral_offset_m", 1e3, "x = {:g} mm")
-AXIAL = _Setting("axial offset (mm)", "axial_offset_m", 1e3, "z = {:g} mm")
-FORCE_FRACTION = _Setting(FORCE, "force_fraction", 1.0, "F = {:{force}} F_0")
-PULSE_RATE = _Setting("pulse rate f_prf (Hz)", "pulse_rate_hz", 1.0, "f_prf = {:g} Hz")
-WINDOW = _Setting("window T_s (ms)", "window_length_s", 1e3, "T_s = {:g} ms")
-BURST_LENGTH = _Setting("burst length T_b (us)", "burst_length_s", 1e6, "T_b = {:g} us")
-
-AXES: tuple[tuple[_Setting, tuple[_Setting, ...]], ...] = (
-    (LATERAL, (PULSE_RATE, WINDOW)),
-    (AXIAL, (PULSE_RATE, WINDOW)),
-    (FORCE_FRACTION, (PULSE_RATE, WINDOW)),
-    (PULSE_RATE, ()),
-    (WINDOW, ()),
-)
-"""Settings that make an axis, and the settings that group its curves; the first setting that varies applies.
-
-The burst length always groups curves."""
-GROUPS_OF_AXIS = (LATERAL, AXIAL, FORCE_FRACTION, BURST_LENGTH, WINDOW)
-"""Settings that group the curves over an axis of the scene's sweep."""
+AXES = {
+    "lateral_offset_m": ("lateral offset (mm)", 1e3),
+    "axial_offset_m": ("axial offset (mm)", 1e3),
+    "force_fraction": (FORCE, 1.0),
+    "pulse_rate_hz": ("pulse rate f_prf (Hz)", 1.0),
+    "window_length_s": ("window T_s (ms)", 1e3),
+    "burst_length_s": ("burst length T_b (us)", 1e6),
+}
+"""Label and scale of the settings that make an axis; the first that varies applies."""
 
 
 def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
@@ -112,22 +81,30 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     if len(shots) < 2:
         return None
     # An axis of the scene's sweep has priority over settings that vary in every scene.
-    for name in shots[0].swept:
-        if len({shot.swept[name] for shot in shots}) > 1:
-            pairs = zip(_other_axes(name, shots), _texts(GROUPS_OF_AXIS, shots), strict=True)
-            groups = [_joined(*texts) for texts in pairs]
-            return _sweep(name, shots, [shot.swept[name] for shot in shots], groups)
-    for axis, grouping in AXES:
-        if axis.varies(shots):
-            groups = [
-                _joined(BURST_LENGTH.text(shot), text)
-                for shot, text in zip(shots, _texts(grouping, shots), strict=True)
-            ]
-            return _sweep(axis.label, shots, [axis.value(shot) for shot in shots], groups)
-    # Nothing else varies: one curve over the burst lengths, or over the repeats.
-    if BURST_LENGTH.varies(shots):
-        return _sweep(BURST_LENGTH.label, shots, [BURST_LENGTH.value(shot) for shot in shots], [""] * len(shots))
-    return _sweep("repeat", shots, [shot.repeat + 1.0 for shot in shots], [""] * len(shots))
+    candidates: list[tuple[str, Sequence[float | None]]] = [
+        *((name, [shot.swept[name] for shot in shots]) for name in shots[0].swept),
+        *((label, [_scaled(getattr(shot, name), scale) for shot in shots]) for name, (label, scale) in AXES.items()),
+        ("repeat", [shot.repeat + 1.0 for shot in shots]),
+    ]
+    label, x = next((candidate for candidate in candidates if len(set(candidate[1])) > 1), candidates[-1])
+    return _sweep(label, shots, x, [""] * len(shots) if label == "repeat" else _groups(shots, x))
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else value * scale
+
+
+def _groups(shots: Sequence[ShotResult], x: Sequence[float | None]) -> list[str]:
+    """Return for each shot the settings, in words, that vary between shots with an equal value in ``x`` (shot,)."""
+    tables = setting_table(shots)
+    # A setting that follows the axis has one text at each of its values, so it does not distinguish curves.
+    axis_values = len(set(x))
+    names = [
+        name
+        for name in tables[0]
+        if len({(value, table[name]) for value, table in zip(x, tables, strict=True)}) > axis_values
+    ]
+    return [", ".join(table[name] for name in names if table[name]) for table in tables]
 
 
 def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
@@ -145,28 +122,6 @@ def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
     slope_u, intercept_u = (fit.stderr, fit.intercept_stderr) if x.size > 2 else (math.nan, math.nan)
     r_squared = float(fit.rvalue) ** 2 if np.ptp(y) > 0 else math.nan
     return Line(float(fit.slope), float(slope_u), float(fit.intercept), float(intercept_u), r_squared)
-
-
-def _joined(*texts: str) -> str:
-    return ", ".join(text for text in texts if text)
-
-
-def _texts(settings: Sequence[_Setting], shots: Sequence[ShotResult]) -> list[str]:
-    """Return for each shot those of ``settings`` that vary over ``shots``, in words."""
-    varied, format_of_force = [setting for setting in settings if setting.varies(shots)], force_format(shots)
-    return [_joined(*(setting.text(shot, format_of_force) for setting in varied)) for shot in shots]
-
-
-def _other_axes(name: str, shots: Sequence[ShotResult]) -> list[str]:
-    """Return for each shot the values of the other axes of the sweep, except those that follow the axis ``name``."""
-    axis_values = {shot.swept[name] for shot in shots}
-    # An axis combined by zip has one value at each value of ``name``, so it does not distinguish curves.
-    axes = [
-        axis
-        for axis in shots[0].swept
-        if axis != name and len({(shot.swept[name], shot.swept[axis]) for shot in shots}) > len(axis_values)
-    ]
-    return [_joined(*(f"{axis} = {shot.swept[axis]:g}" for axis in axes)) for shot in shots]
 
 
 def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], groups: Sequence[str]) -> Sweep:

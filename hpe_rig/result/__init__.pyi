@@ -48,7 +48,7 @@ from .sentence import (
 from .setting_text import (
     common_settings as common_settings,
     control_text as control_text,
-    force_format as force_format,
+    setting_table as setting_table,
     setting_texts as setting_texts,
     varied_settings as varied_settings,
 )

@@ -26,7 +26,7 @@ from hpe_rig.result.figure_kind import FigureKind
 from hpe_rig.result.panels import figure_panels
 from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
-from hpe_rig.result.setting_text import force_format, setting_texts
+from hpe_rig.result.setting_text import setting_table
 from hpe_rig.result.spectra import main_shot
 from hpe_rig.result.svg import MARKS, Colour, Picture, legend, mark, panel, picture, thin
 from hpe_rig.result.values import Estimate, ShotResult
@@ -249,9 +249,9 @@ def _curve_items(result: ResultData, is_drawn: FrequencyFilter) -> list[tuple[Sh
 
 def _labels(items: Sequence[ShotResult | RepeatMean], without: str = "") -> list[str]:
     """Return the settings that differ between ``items``, except ``without``; shot numbers where none differs."""
-    texts = [list(setting_texts(item, without, force_format(items))) for item in items]
-    common = set(texts[0]).intersection(*texts[1:]) if texts else set()
-    labels = [", ".join(text for text in item if text not in common) for item in texts]
+    tables = setting_table(items)
+    varied = [name for name in (tables[0] if tables else ()) if name != without and len({t[name] for t in tables}) > 1]
+    labels = [", ".join(table[name] for name in varied if table[name]) for table in tables]
     if without or len(set(labels)) == len(labels):
         return labels
     numbers = [f"shot {item.shot}" if isinstance(item, ShotResult) else "mean" for item in items]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.values import ShotResult
@@ -17,27 +17,38 @@ _SETTINGS = (
 )
 """Settings that can differ between shots: attribute, scale, header, format, and text in a title.
 
-A force has the format "": that of ``force_format``.
+A force has the format "": that of ``_force_format``.
 """
 FORCE_FORMAT = ".4g"
 """A force follows from the voltage of a generator, which is set with four digits."""
 
 
-def force_format(items: Sequence[ShotResult | RepeatMean]) -> str:
+def setting_table(items: Sequence[ShotResult | RepeatMean]) -> list[dict[str, str]]:
+    """Return the texts of the settings of every shot or mean by name; "" for absent settings and offsets of zero.
+
+    Forces have more digits if two of them had equal texts.
+    """
+    form_of_force = _force_format(items)
+    tables = []
+    for item in items:
+        table = {}
+        for name, factor, _, form, text in _SETTINGS:
+            value = getattr(item, name)
+            is_stated = value is not None and (value or not name.endswith("offset_m"))
+            table[name] = text.format(format(value * factor, form or form_of_force)) if is_stated else ""
+        tables.append(table | {name: f"{name} = {value:g}" for name, value in item.swept.items()})
+    return tables
+
+
+def setting_texts(item: ShotResult | RepeatMean) -> list[str]:
+    """Return the settings of a shot or mean for a title."""
+    return [text for text in setting_table([item])[0].values() if text]
+
+
+def _force_format(items: Sequence[ShotResult | RepeatMean]) -> str:
     """Return the format of the relative forces of ``items``: with more digits if two forces had equal texts."""
     forces = {item.force_fraction for item in items if item.force_fraction is not None}
     return FORCE_FORMAT if len({format(force, FORCE_FORMAT) for force in forces}) == len(forces) else "g"
-
-
-def setting_texts(
-    item: ShotResult | RepeatMean, without: str = "", format_of_force: str = FORCE_FORMAT
-) -> Iterator[str]:
-    """Yield the settings of a shot or mean for a title, except ``without``; offsets of zero are omitted."""
-    for name, factor, _, form, text in _SETTINGS:
-        value = getattr(item, name)
-        if name != without and value is not None and (value or not name.endswith("offset_m")):
-            yield text.format(format(value * factor, form or format_of_force))
-    yield from (f"{name} = {value:g}" for name, value in item.swept.items())
 
 
 def control_text(shots: Sequence[ShotResult]) -> str:
@@ -57,14 +68,13 @@ def control_text(shots: Sequence[ShotResult]) -> str:
 
 def common_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
     """Return the settings that are equal in all ``items``, for a title."""
-    texts = [list(setting_texts(item, format_of_force=force_format(items))) for item in items]
-    shared = set(texts[0]).intersection(*texts)
-    return "".join(f", {setting}" for setting in texts[0] if setting in shared)
+    first, *others = setting_table(items)
+    return "".join(f", {text}" for name, text in first.items() if text and all(item[name] == text for item in others))
 
 
 def varied_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
     """Return the headers of the settings that differ between ``items``, and their cells (item, header)."""
-    format_of_force = force_format(items)
+    format_of_force = _force_format(items)
     cells = {
         header: [_cell(getattr(item, name), factor, form or format_of_force) for item in items]
         for name, factor, header, form, _ in _SETTINGS
