@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
@@ -318,9 +317,4 @@ def _with_uncertainty(fit: Moduli, parameter: str, sign: str = "+-") -> str:
     """Return the text of a parameter with its uncertainty and unit, to two digits of the uncertainty."""
     factor, unit = _unit(parameter)
     value, uncertainty = fit.values[parameter] * factor, fit.uncertainty[parameter] * factor
-    if not 0 < uncertainty < math.inf:
-        return f"{value:.4f} {sign} {uncertainty:.2g} {unit}".rstrip()
-    # Round the uncertainty first: its leading digit may move, as 0.0996 does to 0.10.
-    rounded = float(f"{uncertainty:.1e}")
-    decimals = max(0, 1 - math.floor(math.log10(rounded)))
-    return f"{value:.{decimals}f} {sign} {rounded:.{decimals}f} {unit}".rstrip()
+    return f"{with_u(value, uncertainty).replace('+-', sign)} {unit}".rstrip()

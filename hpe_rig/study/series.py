@@ -12,6 +12,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import spec_of
+from hpe_rig.result import with_u
 from hpe_rig.scene import Axis
 from hpe_rig.study.results import StudyResult
 
@@ -202,8 +203,7 @@ def spans(rows: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def with_error(value: float, standard_error: float) -> str:
-    """Return a value and its standard error, both to the error's second digit."""
+    """Return a value and its standard error; the value alone without one."""
     if not 0 < standard_error < math.inf:
         return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(standard_error)))
-    return f"{value:.{digits}f} ± {standard_error:.{digits}f}"
+    return with_u(value, standard_error).replace("+-", "±")

@@ -1,9 +1,4 @@
-from .accuracy.motion import (
-    PARAMETERS as PARAMETERS,
-    MotionCase as MotionCase,
-    MotionRow as MotionRow,
-    case_rows as case_rows,
-)
+from .accuracy.motion import MotionCase as MotionCase
 from .accuracy.own_scene import write_own_scene as write_own_scene
 from .accuracy.report import (
     FULL as FULL,

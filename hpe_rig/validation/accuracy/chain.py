@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hpe_rig.arrays import FloatArray, Int64Array
 from hpe_rig.validation.accuracy.work_precision import Point, measured
+
+if TYPE_CHECKING:
+    from sim_backend.settings import ReceiveChain
+    from sim_backend.wiring import Capture
 
 RECORDS, SAMPLES = 100, 512
 
@@ -47,10 +52,7 @@ class _Speckle:
         self._delay_s = rng.uniform(-3e-6, 9e-6, 60)
         self._strength_v = 1e-3 * rng.standard_normal(60)
 
-    def record_volts(self, tonebursts: object, pulses: object, capture: object) -> FloatArray:
-        from sim_backend.wiring import Capture
-
-        assert isinstance(capture, Capture)  # noqa: S101
+    def record_volts(self, tonebursts: object, pulses: object, capture: Capture) -> FloatArray:
         offset_s = (capture.first_sample_ps[0] - 90_000_000) * 1e-12
         time_s = offset_s + np.arange(capture.samples) * (capture.sample_period_ps * 1e-12)
         age_s = time_s[:, None] - self._delay_s

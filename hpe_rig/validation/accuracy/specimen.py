@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hpe_rig.arrays import FloatArray, Int64Array
 from hpe_rig.validation.accuracy.work_precision import Point, measured
+
+if TYPE_CHECKING:
+    from sim_backend.settings import Specimen
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
 BURSTS, PERIOD_PS, BURST_PS = 20, 10_000_000_000, 100_000_000
@@ -32,7 +35,7 @@ def points() -> Iterator[Point]:
     yield from _lumped_points()
 
 
-def _transient_points(case: str, specimen: object) -> Iterator[Point]:
+def _transient_points(case: str, specimen: Specimen) -> Iterator[Point]:
     from sim_backend.motion import (
         Contour,
         ForcePulses,
@@ -43,9 +46,7 @@ def _transient_points(case: str, specimen: object) -> Iterator[Point]:
         transfer,
         transient_displacement,
     )
-    from sim_backend.settings import Specimen
 
-    assert isinstance(specimen, Specimen)  # noqa: S101
     onset_ps = np.arange(BURSTS) * PERIOD_PS
     force = ForcePulses(onset_ps, onset_ps + BURST_PS, np.ones(BURSTS))
     time_ps = 175_000_000 + np.arange(800) * 250_000_000
@@ -67,12 +68,10 @@ def _transient_points(case: str, specimen: object) -> Iterator[Point]:
         yield measured(case, "Fourier synthesis, padded", setting, compute, exact, repeats=1)
 
 
-def _fourier(specimen: object, time_ps: Int64Array, period_s: float, highest_hz: float) -> FloatArray:
+def _fourier(specimen: Specimen, time_ps: Int64Array, period_s: float, highest_hz: float) -> FloatArray:
     """Return the response to the train, repeated with ``period_s``, from its Fourier series up to ``highest_hz``."""
     from sim_backend.motion import frequency_response
-    from sim_backend.settings import Specimen
 
-    assert isinstance(specimen, Specimen)  # noqa: S101
     frequency_hz = np.arange(1, int(highest_hz * period_s) + 1) / period_s
     # Fourier transform of one rectangular burst, then the sum over the burst onsets.
     burst_s = BURST_PS * 1e-12
