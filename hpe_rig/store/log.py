@@ -196,19 +196,14 @@ class Log:
     end: int
     is_torn: bool
 
-    @property
-    def synced(self) -> int:
-        """Number of frames up to the last one that was followed by a sync."""
-        numbers = np.flatnonzero(np.isin(self.frames["number"], [_NUMBERS[name] for name in SYNCED]))
-        return int((numbers + 1).max(initial=0))
-
     def without_torn_frames(self, file: IO[bytes], chunk_records: int) -> Log:
         """Return the log, open as ``file``, up to the first frame that a power loss has left incomplete.
 
         That can only be one after the last sync; earlier frames are not examined.
         """
-        frames = [Frame._make(row) for row in self.frames[self.synced :].tolist()]
-        for number, frame in enumerate(frames, self.synced):
+        syncs = np.flatnonzero(np.isin(self.frames["number"], [_NUMBERS[name] for name in SYNCED]))
+        first = int((syncs + 1).max(initial=0))
+        for number, frame in enumerate(map(Frame._make, self.frames[first:].tolist()), first):
             if not payload(file, frame, chunk_records)[1]:
                 return replace(self, frames=self.frames[:number], end=frame.offset - HEADER_BYTES)
         return self

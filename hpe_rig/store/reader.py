@@ -264,13 +264,10 @@ def _rows(checked: CheckedFile) -> tuple[dict[str, list[Any]], list[Damage]]:
             continue
         rows[name] = []
         for shot, (row, is_intact) in enumerate(checked_rows(checked, name)):
-            if not is_intact and name in TEXTS:
-                damage.append(Damage(f"/{name} fails its checksum", shot))
-                row = f"its state is unknown, /{name} is damaged".encode("ascii")
-            elif not is_intact:
-                damage.append(
-                    Damage(f"/{name} fails its checksum: {CONSEQUENCES.get(name, 'its truth is left out')}", shot)
-                )
+            if not is_intact:
+                consequence = "" if name in TEXTS else f": {CONSEQUENCES.get(name, 'its truth is left out')}"
+                damage.append(Damage(f"/{name} fails its checksum{consequence}", shot))
+                row = f"its state is unknown, /{name} is damaged".encode("ascii") if name in TEXTS else row
             if name in READ_AT_ONCE:
                 rows[name].append(row)
     return rows, damage

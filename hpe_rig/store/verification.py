@@ -35,12 +35,12 @@ class Verification:
 
     path: Path
     kind: str
-    status: str
-    shots: int
-    shots_complete: int
-    records: int
-    checksums: bool
-    damage: tuple[Damage, ...]
+    status: str = "complete"
+    shots: int = 0
+    shots_complete: int = 0
+    records: int = 0
+    checksums: bool = True
+    damage: tuple[Damage, ...] = ()
     torn_bytes: int = 0
 
     def as_dict(self) -> dict[str, Any]:
@@ -126,10 +126,10 @@ def _verified_text(path: Path) -> Verification:
         what = f"{error.filename or path} cannot be read ({reason(error)})"
         raise StoreError(f"{what}. Try: its path; study.json has the checksum of summary.csv.") from None
     except ValueError as error:
-        return Verification(path, "text", "complete", 0, 0, 0, True, (Damage(str(error)),))
+        return Verification(path, "text", damage=(Damage(str(error)),))
     if kind not in TEXT_KINDS:
         raise StoreError(f"{path} is no file of hpe-rig with a checksum. Try: {', '.join(TEXT_KINDS)}.")
-    return Verification(path, kind, "complete", 0, 0, 0, has_checksum, ())
+    return Verification(path, kind, checksums=has_checksum)
 
 
 def _verified_result(path: Path, kind: str) -> Verification:
@@ -144,13 +144,4 @@ def _verified_result(path: Path, kind: str) -> Verification:
         raise StoreError(
             f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."
         ) from error
-    return Verification(
-        path=path,
-        kind=kind,
-        status="complete",
-        shots=shots,
-        shots_complete=shots,
-        records=0,
-        checksums=has_checksums,
-        damage=damage,
-    )
+    return Verification(path, kind, shots=shots, shots_complete=shots, checksums=has_checksums, damage=damage)
