@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hpe_rig.arrays import FloatArray, Int16Array
+from hpe_rig.arrays import FloatArray, Int16Array, Int64Array
 from hpe_rig.store import MISSING
 
 ExportFormat = Literal["zea", "uff", "mat"]
@@ -75,24 +75,27 @@ class Echoes:
             yield slice(first, first + len(block)), volts.astype(np.float32)
 
 
-def export_image(echoes: Echoes, file_format: ExportFormat) -> bytes:
-    """Return the content of a file with the ``echoes``."""
+def export_image(echoes: Echoes, file_format: ExportFormat) -> tuple[bytes, Int64Array]:
+    """Return the content of a file with the ``echoes``, and the number of missing records of each shot, (shot,)."""
     memory = io.BytesIO()
     if file_format == "mat":
-        _write_matlab(memory, echoes)
-        return memory.getvalue()
+        missing = _write_matlab(memory, echoes)
+        return memory.getvalue(), missing
     # Written to memory first: a disk error inside the HDF5 library can crash the program.
     with h5py.File(memory, "w", libver=LIBVER) as file:
-        (_write_zea if file_format == "zea" else _write_uff)(file, echoes)
+        missing = (_write_zea if file_format == "zea" else _write_uff)(file, echoes)
         for name, label in echoes.labels.items():
             path = f"{LABEL_GROUPS[file_format]}/{name}"
             file[path] = label.value
             file[path].attrs.update({"unit": label.unit, "description": label.meaning})
-    return memory.getvalue()
+    return memory.getvalue(), missing
 
 
-def _write_matlab(file: Any, echoes: Echoes) -> None:
-    """Write codes (sample, pulse, shot) and all labels as variables, and a variable ``readme`` that describes them."""
+def _write_matlab(file: Any, echoes: Echoes) -> Int64Array:
+    """Write codes (sample, pulse, shot) and all labels as variables, and a variable ``readme`` that describes them.
+
+    Return the number of missing records of each shot, as the other two formats.
+    """
     from scipy.io import savemat
 
     shots, pulses, samples = echoes.shape
@@ -108,18 +111,22 @@ def _write_matlab(file: Any, echoes: Echoes) -> None:
         # MATLAB counts the shots along the last axis.
         variables[name] = label.value if isinstance(label.value, str) else np.asarray(label.value).T
     savemat(file, {**variables, "readme": np.array(readme, np.object_)[:, None]}, oned_as="column")
+    missing: Int64Array = np.count_nonzero(codes[0] == MISSING, axis=0)
+    return missing
 
 
-def _write_zea(file: h5py.File, echoes: Echoes) -> None:
+def _write_zea(file: h5py.File, echoes: Echoes) -> Int64Array:
     """Write the groups that zea requires: volts (frame, transmit, sample, element, component), scan and probe."""
     shots, pulses, samples = echoes.shape
     file.attrs.update(
         {"zea_version": ZEA_VERSION, "description": echoes.title, "us_machine": f"hpe_rig, {_origin(echoes)}"}
     )
     data = file.create_dataset("tracks/track_0/data/raw_data", (shots, pulses, samples, 1, 1), "f4", chunks=True)
+    missing = np.zeros(shots, np.int64)
     for shot in range(shots):
         for pulses_of_block, volts in echoes.volts(shot):
             data[shot, pulses_of_block, :, 0, 0] = volts
+            missing[shot] += np.isnan(volts[:, 0]).sum()
     intervals_s = np.diff(echoes.pulse_time_s, append=2 * echoes.pulse_time_s[:, -1:] - echoes.pulse_time_s[:, -2:-1])
     scan = {
         "sampling_frequency": echoes.sample_rate_hz,
@@ -138,9 +145,10 @@ def _write_zea(file: h5py.File, echoes: Echoes) -> None:
         file[f"tracks/track_0/scan/{name}"] = np.asarray(value, np.float32)
     file["probe/name"], file["probe/type"] = "hpe_rig", "single element"
     file["probe/probe_geometry"] = np.zeros((1, 3), np.float32)
+    return missing
 
 
-def _write_uff(file: h5py.File, echoes: Echoes) -> None:
+def _write_uff(file: h5py.File, echoes: Echoes) -> Int64Array:
     """Write an object ``channel_data`` of USTB: volts (frame, wave, channel, sample), one wave for each pulse."""
     shots, pulses, samples = echoes.shape
     # USTB reads an array of one text.
@@ -148,9 +156,11 @@ def _write_uff(file: h5py.File, echoes: Echoes) -> None:
     channel_data = _uff_object(file, "channel_data")
     data = channel_data.create_dataset("data", (shots, pulses, 1, samples), "f4")
     data.attrs.update(_uff_attributes("data", "single"))
+    missing = np.zeros(shots, np.int64)
     for shot in range(shots):
         for pulses_of_block, volts in echoes.volts(shot):
             data[shot, pulses_of_block, 0] = volts
+            missing[shot] += np.isnan(volts[:, 0]).sum()
     intervals_s = np.diff(echoes.pulse_time_s[0])
     numbers = {
         "sampling_frequency": echoes.sample_rate_hz,
@@ -172,6 +182,7 @@ def _write_uff(file: h5py.File, echoes: Echoes) -> None:
     for number in range(2, pulses + 1):
         # All waves are alike: one object with many names.
         sequence[f"sequence_{number:04d}"] = wave
+    return missing
 
 
 def _uff_object(group: h5py.Group, name: str, kind: str = "", count: int = 1) -> h5py.Group:

@@ -53,14 +53,10 @@ def export_run(
         raise SettingsError("export", mistakes)
     placements = [assign_pulses(shot, run.stored).placement for shot in selected]
     echoes = _echoes_of(run, selected, placements)
-    write_file(path, export_image(echoes, selected_format), overwrite)
-    # One sample of each record states whether it is missing.
-    records = {
-        shot.index: run.records.gated(shot.index, slice(0, 1), placement=placement)
-        for shot, placement in zip(selected, placements, strict=True)
-    }
-    missing = {shot: int((~one_sample.valid).sum()) for shot, one_sample in records.items()}
-    gaps = [f"shot {shot + 1}: {plural(count, 'missing record')}" for shot, count in missing.items() if count]
+    image, missing = export_image(echoes, selected_format)
+    write_file(path, image, overwrite)
+    counts = [(shot.index + 1, count) for shot, count in zip(selected, missing.tolist(), strict=True) if count]
+    gaps = [f"shot {shot}: {plural(count, 'missing record')}" for shot, count in counts]
     lateral_offset_m = np.array([shot.lateral_offset_m for shot in selected])
     if key := differing_setting(echoes.pulse_time_s, lateral_offset_m):
         advice = f"for other programs only: its shots differ in {key}, and hpe-rig import needs one value of it. "
