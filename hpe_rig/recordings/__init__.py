@@ -20,7 +20,6 @@ In the order of the flow::
     lines.py         selected lines, or their mean
     spectrum.py      echoes against the carrier; band-pass sampling
     baseband.py      I and Q -> samples around the carrier
-    checksum.py      SHA-256 in a thread
     record_checks.py records with values that are not finite, or all equal
     motion.py        displacement and velocity instead of echoes
     recording.py     contents and settings -> samples (line, shot, pulse, sample)

@@ -6,9 +6,9 @@ with its origin.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.recordings.axes import select_array, with_axes
 from hpe_rig.recordings.baseband import to_radio_frequency
-from hpe_rig.recordings.checksum import Checksum
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.importers import BUILT_IN, read_contents
 from hpe_rig.recordings.lines import select_lines
@@ -97,11 +96,9 @@ def read_recording(
     wrong value.
     """
     name = source_name(source)
-    # The checksum of a long file takes longer than reading it: a thread computes it meanwhile.
-    with ThreadPoolExecutor(max_workers=1) as pool, Checksum() as checksum:
-        file_format, contents, sha256 = _open_source(source, settings, name, lambda data: pool.submit(checksum, data))
-        statements = Statements(settings, contents, scene or {}, origins or {})
-        return _Reader(statements, name, for_map).read(file_format, sha256)
+    file_format, contents, sha256 = _open_source(source, settings, name)
+    statements = Statements(settings, contents, scene or {}, origins or {})
+    return _Reader(statements, name, for_map).read(file_format, sha256)
 
 
 def as_source(recording: Any) -> Source:
@@ -120,22 +117,19 @@ def source_name(source: Source) -> str:
     return source.name if isinstance(source, Path) else "array"
 
 
-def _open_source(
-    source: Source, settings: RecordingSettings, name: str, start_checksum: Callable[[Path | NDArray[Any]], Future[str]]
-) -> tuple[str, Contents, Callable[[], str]]:
-    """Return format and content of the files or array, and a function that waits for their SHA-256."""
+def _open_source(source: Source, settings: RecordingSettings, name: str) -> tuple[str, Contents, Callable[[], str]]:
+    """Return format and content of the files or array, and a function that computes their SHA-256."""
     if not isinstance(source, Path | tuple):
         values = np.asarray(source)
         if values.dtype.kind not in "iufc":
             raise SettingsError("recording", [Mistake("", f"values of type {values.dtype}", "real or complex numbers")])
-        return "array", Contents({"array": values}), start_checksum(values).result
+        return "array", Contents({"array": values}), lambda: hashlib.sha256(np.ascontiguousarray(values)).hexdigest()
     try:
         _check_files(source if isinstance(source, tuple) else (source,), name)
         if isinstance(source, tuple):
             file_format, contents, digest = read_series(source, settings)
             return file_format, contents, lambda: digest
-        sha256 = start_checksum(source).result
-        return *read_contents(source, settings), sha256
+        return *read_contents(source, settings), lambda: _sha256(source)
     except OSError as error:
         what = f"{error.filename or name} cannot be read ({error.strerror or error})"
         raise SettingsError(f"recording {name}", [Mistake("", what, "a readable copy")]) from error
@@ -143,6 +137,11 @@ def _open_source(
         what, _, remedy = str(error).rpartition(": ")
         mistake = Mistake("", what or str(error), remedy if what else "an undamaged copy")
         raise SettingsError(f"recording {name}", [mistake]) from error
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _check_files(paths: tuple[Path, ...], name: str) -> None:

@@ -1,9 +1,8 @@
-"""Long recordings stay in their file, give the same run file, and do not delay a message."""
+"""Long recordings stay in their file and give the same run file."""
 
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,6 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.recordings import arrays, read_recording, read_settings
-from hpe_rig.recordings.checksum import Checksum
-from hpe_rig.scene import SettingsError
 
 RF = np.random.default_rng(4).normal(size=(2, 3, 40, 160)).astype(np.float32)
 SETTINGS: dict[str, Any] = {"axes": "line,shot,pulse,sample", "sample_rate_hz": 50e6, "pulse_rate_hz": 4e3}
@@ -102,20 +99,3 @@ def test_a_mapped_recording_gives_the_run_file_of_one_in_memory(
         expected = np.rint(RF.reshape(6, 40, 160)[shot] * (32766 / np.abs(RF).max()))
         np.testing.assert_array_equal(runs[1].records[shot].codes, expected)
     assert runs[0].bench.recording == runs[1].bench.recording
-
-
-def test_a_message_does_not_wait_for_the_checksum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks = []
-
-    def slowly(self: Checksum, data: Any) -> str:
-        while not self.stopped and len(blocks) < 1000:
-            blocks.append(1)
-            time.sleep(0.01)
-        return ""
-
-    monkeypatch.setattr(Checksum, "__call__", slowly)
-    np.save(tmp_path / "a.npy", RF)
-    stated, origins = read_settings(None, None, {"axes": "pulse,sample"})
-    with pytest.raises(SettingsError, match="sample_rate_hz: neither"):
-        read_recording(tmp_path / "a.npy", stated, origins)
-    assert 0 < len(blocks) < 1000
