@@ -2,9 +2,7 @@
 
 In the order of the flow:
     bench_file      sections of a bench file: instruments, cables, limits, calibration
-    value_checks    values that no bench can mean
-    bench_loading   bench files from a path or text, their wiring checked
-    commissioned    digest of the instruments and cables that a commissioning proves
+    bench_loading   bench files from a path or text, their wiring and values checked
     twin            the simulation that a scene declares, as one typed value
     clocks          how far the clocks of motion, pulses and digitizer may differ
     push_scan       hydrophone scan of the push

@@ -14,11 +14,9 @@ from .bench_loading import (
     BenchText as BenchText,
     parse_bench as parse_bench,
     read_bench as read_bench,
-    with_title as with_title,
     with_transducers as with_transducers,
 )
 from .clocks import clock_covariance as clock_covariance
-from .commissioned import commissioned_digest as commissioned_digest
 from .comparison import (
     file_differences as file_differences,
     settings_differences as settings_differences,

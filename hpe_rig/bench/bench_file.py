@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
+import hashlib
+import json
 import math
 from collections.abc import Iterator, Mapping
 from datetime import date
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from drivers.agilent import MODEL_NAMES, MODELS
 from drivers.alazar import BOARD_NAMES, BoardModel, model_named
@@ -62,27 +63,15 @@ Inlet = Literal[
 ]
 
 
-def _choice(names: tuple[str, ...]) -> tuple[Any, Any]:
-    """Return the annotations of a text that must be one of ``names``, the models that a driver supports."""
-
-    def checked(name: str) -> str:
-        if name not in names:
-            close = difflib.get_close_matches(name, names, n=1)
-            suggestion = f"; did you mean {close[0]!r}?" if close else ""
-            raise ValueError(
-                f"{name[:80]!r} is not one of the choices: one of {', '.join(map(repr, names))}{suggestion}"
-            )
-        return name
-
-    return Field(strict=True, json_schema_extra={"enum": list(names)}), AfterValidator(checked)
-
-
 Day = Annotated[date, Field(strict=True)]
 """A date of TOML, such as 2026-03-05."""
-BoardName = Annotated[str, *_choice(BOARD_NAMES)]
-"""Name of a digitizer board that has a driver."""
-GeneratorName = Annotated[str, *_choice(MODEL_NAMES)]
-"""Name of a generator or a series of generators that has a driver."""
+if TYPE_CHECKING:
+    BoardName = str
+    GeneratorName = str
+else:
+    # Names of the boards and of the generators, or series of generators, that have a driver.
+    BoardName = Literal[BOARD_NAMES]
+    GeneratorName = Literal[MODEL_NAMES]
 
 ClockAccuracy = Annotated[float, Field(gt=0, le=1e-2, strict=True)]
 """Relative error of a clock's rate."""
@@ -90,6 +79,8 @@ Serial = Annotated[str, Field(pattern=r"^[ -~]{0,64}$", strict=True)]
 """Serial number or label of an instrument, in printable ASCII."""
 NO_SERIAL = "none"
 """Serial of an instrument that keeps neither a serial number nor a label."""
+INSTRUMENT_KEYS: Final = {"model", "address", "interface", "serial", "system_id", "board_id"}
+"""Keys that say which instrument has a role."""
 
 
 class Generator(Section):
@@ -458,15 +449,19 @@ class BenchFile(Section):
         serials["digitizer"] = self.digitizer.serial
         return {role: serial for role, serial in serials.items() if serial and serial != NO_SERIAL}
 
-    def without_serials(self) -> BenchFile:
-        """Return the bench without serial numbers, which identify its instruments and change no measurement."""
-        roles = self.generators.by_role
-        generators = {role: generator.model_copy(update={"serial": None}) for role, generator in roles.items()}
-        without = {
-            "generators": self.generators.model_copy(update=generators),
-            "digitizer": self.digitizer.model_copy(update={"serial": None}),
+    @property
+    def commissioned_digest(self) -> str:
+        """Digest of instruments and wiring, which a commissioning proves: 16 hexadecimal digits."""
+        instruments = {**self.generators.by_role, "digitizer": self.digitizer}
+        proven = {
+            "simulated": self.simulated,
+            "instruments": {
+                role: item.model_dump(mode="json", include=INSTRUMENT_KEYS, exclude_none=True)
+                for role, item in instruments.items()
+            },
+            "wiring": sorted([cable.source, cable.target, f"{cable.delay_s:.12g}"] for cable in self.wiring),
         }
-        return self.model_copy(update=without)
+        return hashlib.sha256(json.dumps(proven, sort_keys=True).encode()).hexdigest()[:16]
 
     def address_text(self, role: str) -> str:
         """Return in words how the instrument of ``role`` is reached."""

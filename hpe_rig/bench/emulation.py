@@ -8,13 +8,22 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, Transport
-from hpe_rig.bench.bench_loading import BenchText, parse_bench
+from hpe_rig.bench.bench_loading import BenchText
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_emulator
 from hpe_rig.bench.resource_name import LOOPBACK, literal_host
-from hpe_rig.scene import Mistake, Scene, SettingsError, parse_toml, read_settings_text
+from hpe_rig.scene import (
+    KeyPath,
+    Mistake,
+    Number,
+    Scene,
+    SettingsError,
+    edited_text,
+    parse_toml,
+    read_settings_text,
+)
 
-ADDRESSING = re.compile(r"^\s*(address|interface|transport|emulated)\s*=.*\n", re.MULTILINE)
+INTERFACE = re.compile(r"^\s*interface\s*=.*\n", re.MULTILINE)
 RAW_SOCKET = re.compile(r"TCPIP\d*::(?P<host>[^:]+|\[.+\])::(?P<port>\d+)::SOCKET", re.IGNORECASE)
 HEAD = """\
 # Emulated: generators served on loopback over {transport} until hpe-rig emulate ends, each at an address, in one world
@@ -39,16 +48,12 @@ def emulate(scene: Scene, bench: BenchText, transport: str, announce: Callable[[
     """Serve the generators of ``bench``, simulated, until Ctrl-C; announce the bench file that reaches them.
 
     Generators with a raw socket on this machine are served at their addresses. Those of a real bench have the serial
-    numbers of its file. Raises ``SettingsError`` for an unknown transport and for an imported recording,
-    ``InstrumentError`` if the platform lacks the transport.
+    numbers of its file. Raises ``SettingsError`` for an unknown transport, ``InstrumentError`` if it is not available.
     """
     known_transport = next((name for name in TRANSPORTS if name == transport), None)
     if known_transport is None:
         mistake = Mistake("transport", f"{transport} is no transport", ", ".join(TRANSPORTS))
         raise SettingsError("command line", [mistake])
-    if bench.bench.recording is not None:
-        what = "this bench file describes an imported recording, without instruments"
-        raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file with instruments")])
     twin = bench.bench.model_copy(update=_emulation(bench.bench))
     try:
         with open_emulator(scene, twin, known_transport, _loopback_ports(bench.bench)) as addresses:
@@ -76,24 +81,13 @@ def _loopback_ports(bench: BenchFile) -> dict[str, int]:
 
 
 def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tuple[str, str | None]]) -> str:
-    """Return the text of ``bench`` with its transport and each generator's VISA address.
-
-    Raises ``SettingsError`` if the file has no line ``simulated``, or if its generators are not tables with headers.
-    """
-    # The addresses of the file are replaced, and each generator's is put below the header of its table.
-    text = ADDRESSING.sub("", bench.text)
-    lines = f'simulated = true\ntransport = "{transport}"' + "\nemulated = true" * _emulation(bench.bench)["emulated"]
-    text = re.sub(r"^\s*simulated\s*=.*$", lines, text, count=1, flags=re.MULTILINE)
+    """Return the text of ``bench`` with its transport and each generator's VISA address."""
+    values: dict[KeyPath, Number | str] = {("simulated",): True, ("transport",): transport}
+    if _emulation(bench.bench)["emulated"]:
+        values["emulated",] = True
     for role, (address, interface) in addresses.items():
-        lines = f'[generators.{role}]\naddress = "{address}"'
-        lines += f'\ninterface = "{interface}"' if interface else ""
-        text = text.replace(f"[generators.{role}]", lines, 1)
-    twin = parse_bench(bench.name, text).bench
-    if not twin.simulated:
-        what = "the file has no line simulated = false"
-        raise SettingsError(f"bench {bench.name}", [Mistake("simulated", what, "write it above the first table")])
-    # An inline table would not have got its address.
-    if any(item.address != addresses[role][0] for role, item in twin.generators.by_role.items()):
-        what = "the generators have no separate tables"
-        raise SettingsError(f"bench {bench.name}", [Mistake("generators", what, "write [generators.master] and so on")])
-    return HEAD.format(transport=transport) + text
+        values["generators", role, "address"] = address
+        if interface:
+            values["generators", role, "interface"] = interface
+    # The adapters of a real bench are not those of the emulated generators.
+    return HEAD.format(transport=transport) + edited_text(INTERFACE.sub("", bench.text), values)

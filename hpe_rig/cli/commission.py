@@ -22,9 +22,6 @@ def commission_bench(path: Path | None) -> int:
     import numpy as np
 
     text = read_bench(path)
-    if text.bench.recording is not None:
-        what = "this bench file describes an imported recording, without instruments"
-        raise SettingsError(f"bench {text.name}", [Mistake("recording", what, "a bench file with instruments")])
     if path is not None:
         refuse_unwritable(path)
     _confirm_amplifier_off(text.bench)

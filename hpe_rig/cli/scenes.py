@@ -75,16 +75,16 @@ def new(
     output: Annotated[Path | None, output_option("File of the copy, instead of NAME.")] = None,
 ) -> None:
     """Copy a shipped scene, the scene of a run file or a bench file, to edit."""
-    from hpe_rig.bench import read_bench, with_title
+    from hpe_rig.bench import read_bench
     from hpe_rig.measurement import source_text
-    from hpe_rig.scene import Mistake, SettingsError
+    from hpe_rig.scene import Mistake, SettingsError, edited_text
     from hpe_rig.store import write_file
 
     if (name is None) is (output is None):
         raise SettingsError("command line", [Mistake("NAME", "one file is written", "new NAME, or new -o FILE.toml")])
     path = output or Path(f"{(name or '').removesuffix('.toml')}.toml")
     is_bench = like == "bench"
-    text = with_title(read_bench().text, f"Bench {path.stem}") if is_bench else source_text(like)[1]
+    text = edited_text(read_bench().text, {("title",): f"Bench {path.stem}"}) if is_bench else source_text(like)[1]
     if full:
         from hpe_rig.runs import full_text
 

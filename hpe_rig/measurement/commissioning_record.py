@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.bench import BenchText, commissioned_digest, parse_bench
+from hpe_rig.bench import BenchText, parse_bench
 from hpe_rig.measurement.commissioning import CableResult
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import replace_text
@@ -33,7 +33,7 @@ def with_commissioning(text: str, name: str, results: Sequence[CableResult], day
     bench = parse_bench(name, tomlkit.dumps(document)).bench
     table = tomlkit.table()
     table["date"], table["program"] = day, f"hpe-rig {version('hpe-rig')}"
-    table["digest"] = commissioned_digest(bench)
+    table["digest"] = bench.commissioned_digest
     table["cables"] = [f"{result.source} -> {result.target}" for result in results]
     document["commissioning"] = table
     return tomlkit.dumps(document)
@@ -46,7 +46,7 @@ def record_commissioning(path: Path, before: BenchText, results: Sequence[CableR
     """
     # Line ends stay as they are, so the text is not read with universal newlines.
     text = path.read_bytes().decode("utf-8-sig")
-    if commissioned_digest(parse_bench(path.stem, text).bench) != commissioned_digest(before.bench):
+    if parse_bench(path.stem, text).bench.commissioned_digest != before.bench.commissioned_digest:
         what = "its instruments or cables were changed during the commissioning, which is not recorded"
         raise SettingsError(f"bench {path.stem}", [Mistake("", what, "commission again")])
     replace_text(path, with_commissioning(text, path.stem, results, day))

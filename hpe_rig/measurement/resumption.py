@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+from hpe_rig.bench import GENERATOR_ROLES, BenchFile
 from hpe_rig.measurement.mover import Mover
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Observer, ignore_progress
@@ -103,7 +105,7 @@ def _refuse_differences(earlier: StoredRun, earlier_setup: Setup, setup: Setup) 
             f"{earlier.path} was measured with another scene than {setup.scene.name} is now. "
             "Try: resume without a scene, which uses the scene of the run, or measure anew."
         )
-    if earlier_setup.bench.bench.without_serials() != setup.bench.bench.without_serials():
+    if _without_serials(earlier_setup.bench.bench) != _without_serials(setup.bench.bench):
         raise StoreError(
             f"{earlier.path} was measured on bench {earlier.bench_name}, which differs from bench {setup.bench.name}. "
             "Try: --bench with the bench file of that run, or measure anew."
@@ -113,3 +115,9 @@ def _refuse_differences(earlier: StoredRun, earlier_setup: Setup, setup: Setup) 
             f"{earlier.path} was measured with another content of the file beams.excitation_scan, and one run "
             "has one scan. Try: put that file back, or measure anew."
         )
+
+
+def _without_serials(bench: BenchFile) -> dict[str, Any]:
+    """Return the settings of ``bench`` without serial numbers, which change no measurement."""
+    serials: Any = {role: {"serial"} for role in GENERATOR_ROLES}
+    return bench.model_dump(exclude={"digitizer": {"serial"}, "generators": serials})

@@ -110,10 +110,6 @@ def prepare_text(
     """
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
-        # An imported run holds a bench file too, but no instruments.
-        if bench.bench.recording is not None:
-            what = "this bench file describes an imported recording, without instruments"
-            raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file with instruments")])
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check, stored is not None)
         scene = replace(scene, scene=_completed(scene.scene, bench.bench, None if stored is None else stored.parent))

@@ -123,7 +123,11 @@ def _open_source(source: Source, settings: RecordingSettings, name: str) -> tupl
         values = np.asarray(source)
         if values.dtype.kind not in "iufc":
             raise SettingsError("recording", [Mistake("", f"values of type {values.dtype}", "real or complex numbers")])
-        return "array", Contents({"array": values}), lambda: hashlib.sha256(np.ascontiguousarray(values)).hexdigest()
+        return (
+            "array",
+            Contents({"array": values}),
+            lambda: hashlib.sha256(np.ascontiguousarray(values).data).hexdigest(),
+        )
     try:
         _check_files(source if isinstance(source, tuple) else (source,), name)
         if isinstance(source, tuple):

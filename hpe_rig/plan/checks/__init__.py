@@ -5,12 +5,10 @@
     tracking          whether the twin's echoes and motion can be tracked
     excitation        tonebursts against the bench's limits, and against pulses and gates
     output            tasks against the limits of the generators and transducers
-    identity          generators of a real bench that are known by serial number
+    identity          generators of a real bench known by serial number, its cables proven
     acoustic_output   estimated output at the focus against its limits
-    timing            periods, record and depth
+    timing            periods, record and depth; accuracies of the clocks
     sampling          aliasing, window, resolution and size of the fit
-    clocks            accuracies of the clocks, and the phase shift that they may cause
-    commissioning     whether the cables of a real bench were proven
     digitizer         records against the limits of the board
     depth_gates       gates over depth: in the record, undisturbed, with echoes
     checklist         every check in order

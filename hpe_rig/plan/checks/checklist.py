@@ -9,50 +9,35 @@ from typing import Final
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.acoustic_output import acoustic_output
 from hpe_rig.plan.checks.check_result import CheckResult
-from hpe_rig.plan.checks.clocks import clocks
-from hpe_rig.plan.checks.commissioning import commissioned
 from hpe_rig.plan.checks.depth_gates import gates_over_depth
 from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory, trigger_times
 from hpe_rig.plan.checks.excitation import excitation, interference
-from hpe_rig.plan.checks.identity import identity
+from hpe_rig.plan.checks.identity import commissioned, identity
 from hpe_rig.plan.checks.output import drive, generators, transducer_limits
 from hpe_rig.plan.checks.sampling import driven_harmonics, fit_condition, fit_size, resolution, wanted_frequencies
 from hpe_rig.plan.checks.simulation import simulation
-from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
+from hpe_rig.plan.checks.timing import clocks, depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.checks.tracking import motion_between_pulses, trackable
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene, ScenePoint, forgotten_units
 
 Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
 
-PUSH: Final[tuple[Check, ...]] = (
-    simulation,
-    identity,
-    trackable,
-    motion_between_pulses,
-    excitation,
-    generators,
-    drive,
-    transducer_limits,
-    acoustic_output,
-)
 TRACKING: Final[tuple[Check, ...]] = (interference, tracking_train)
-PULSE_PERIOD: Final[tuple[Check, ...]] = (record_in_period, depth)
 ESTIMATE: Final[tuple[Check, ...]] = (
-    wanted_frequencies,
-    driven_harmonics,
-    resolution,
-    fit_size,
-    fit_condition,
-    gate_in_record,
-    gates_over_depth,
-    background,
-    clocks,
+    *(wanted_frequencies, driven_harmonics, resolution, fit_size, fit_condition),
+    *(gate_in_record, gates_over_depth, background, clocks),
 )
-BOARD: Final[tuple[Check, ...]] = (board, capture_mode, trigger_times, memory, periods, commissioned)
-CHECKS: Final[tuple[Check, ...]] = (*PUSH, *TRACKING, *PULSE_PERIOD, *ESTIMATE, *BOARD)
+CHECKS: Final[tuple[Check, ...]] = (
+    *(simulation, identity, trackable, motion_between_pulses, excitation),
+    *(generators, drive, transducer_limits, acoustic_output),
+    *TRACKING,
+    *(record_in_period, depth),
+    *ESTIMATE,
+    *(board, capture_mode, trigger_times, memory, periods, commissioned),
+)
 """Every check, in the order of ``hpe-rig check``."""
-RECORD_CHECKS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
+RECORD_CHECKS: Final = (*TRACKING, *ESTIMATE)
 """Checks of imported records, which do not concern instruments."""
 BEFORE_MEASUREMENT: Final = frozenset({motion_between_pulses})
 """Checks that only refuse, so that a measured run passed them. They compute the motion of the specimen."""

@@ -1,10 +1,12 @@
-"""Checks of timing: pulses, records, depth and trains against pulse period, burst period and shot period."""
+"""Checks of timing: pulses, records, depth and trains against the periods of pulses, bursts and shots; clocks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hpe_rig.bench import BenchFile
+import numpy as np
+
+from hpe_rig.bench import BenchFile, clock_covariance
 from hpe_rig.plan.checks.check_result import CheckResult, in_hz, in_us, is_whole, pass_or_refuse
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
@@ -64,3 +66,24 @@ def periods(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]
         text = f"the burst period holds {ratio:g} pulse periods, processing.synchronous = true wants a whole number"
         remedy = f"tracking.pulse_rate_hz = {nearest_hz:g}, or synchronous = false"
         yield pass_or_refuse("synchronous", is_whole(ratio), text, remedy)
+
+
+def clocks(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield the accuracies of the clocks of motion, pulses and digitizer, unless all share one or nothing is fitted."""
+    covariance = clock_covariance(scene, bench)
+    motion_by_pulses = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]))
+    stated = scene.processing.frequency_accuracy
+    accuracy = motion_by_pulses if stated is None else stated
+    if not accuracy or not scene.wanted_frequencies_hz:
+        return
+    motion_ppm, pulses_ppm, digitizer_ppm = np.sqrt(np.diag(covariance)) * 1e6
+    source = f"motion {motion_ppm:g} ppm, pulses {pulses_ppm:g} ppm, digitizer {digitizer_ppm:g} ppm (clock_accuracy)"
+    if stated is not None:
+        source = f"frequencies {stated * 1e6:g} ppm (processing.frequency_accuracy)"
+    timeline, highest_hz = plan.shots[0].timeline, max(scene.wanted_frequencies_hz)
+    length_s = scene.processing.window_length_s or float(timeline.pulse_onset_s[-1] - timeline.pulse_onset_s[0])
+    shift_deg = 360 * highest_hz * accuracy * length_s
+    text = (
+        f"{source}: in {length_s:.3g} s they may shift {highest_hz:g} Hz by {shift_deg:.2g} deg, which the fit corrects"
+    )
+    yield CheckResult("clocks", "passed", text)

@@ -12,9 +12,7 @@ import pytest
 
 from hpe_rig.bench import BenchFile, parse_bench, read_bench, with_transducers
 from hpe_rig.bench.bench_file import Condition, Transducers
-from hpe_rig.bench.bench_loading import with_title
-from hpe_rig.bench.commissioned import commissioned_digest
-from hpe_rig.bench.value_checks import wrong_values
+from hpe_rig.bench.bench_loading import wrong_values
 from hpe_rig.scene import SettingsError, load_scene
 
 TEXT = read_bench().text
@@ -155,12 +153,6 @@ def test_a_scene_or_an_absent_file_in_place_of_a_bench_file_is_named(tmp_path: P
     assert "there is no file" not in str(caught.value)
 
 
-def test_a_title_is_replaced_with_its_quotation_marks_and_once() -> None:
-    text = with_title(TEXT + '\n# title = "b"\ntitle_of = 1', 'Room "12" \\ 3')
-    assert parse_bench("a", text.partition("\n# title")[0]).bench.title == 'Room "12" \\ 3'
-    assert text.count("Room") == 1
-
-
 def test_a_board_that_cannot_be_locked_and_exchanged_limits_are_mistakes_and_equal_limits_are_not() -> None:
     calibration = BENCH.calibration
     assert calibration is not None
@@ -217,7 +209,6 @@ def test_derived_values_of_instruments_follow_their_keys_and_models() -> None:
     assert BENCH.model_copy(update=unknown).serials == {}
     known = BENCH.model_copy(update={"digitizer": board.model_copy(update={"serial": "7"})})
     assert known.serials == {"digitizer": "7"}
-    assert known.without_serials() == BENCH
 
 
 def test_limits_of_a_condition_are_part_of_it_and_said_with_its_unit() -> None:
@@ -245,20 +236,20 @@ def test_limits_of_a_condition_are_part_of_it_and_said_with_its_unit() -> None:
 def test_the_digest_of_a_commissioning_changes_with_instruments_and_cables_alone(
     real_bench: Callable[..., Path],
 ) -> None:
-    digest = commissioned_digest(BENCH)
+    digest = BENCH.commissioned_digest
     assert re.fullmatch("[0-9a-f]{16}", digest)
     same = edited((TEXT.splitlines()[1], 'title = "b"'), ("max_duty = 0.05", "max_duty = 0.04"))
-    assert commissioned_digest(parse_bench("a", same).bench) == digest
+    assert parse_bench("a", same).bench.commissioned_digest == digest
     reordered = BENCH.model_copy(update={"wiring": BENCH.wiring[::-1]})
-    assert commissioned_digest(reordered) == digest
+    assert reordered.commissioned_digest == digest
     others = [
         edited(("board_id = 1", "board_id = 2")),
         edited(("delay_s = 10e-9", "delay_s = 11e-9")),
         edited(("[generators.master]", '[generators.master]\nserial = "1"')),
         edited(("[generators.master]", '[generators.master]\naddress = "GPIB0::1"')),
     ]
-    digests = {digest, commissioned_digest(read_bench(real_bench()).bench)}
-    assert len(digests | {commissioned_digest(parse_bench("a", text).bench) for text in others}) == 6
+    digests = {digest, read_bench(real_bench()).bench.commissioned_digest}
+    assert len(digests | {parse_bench("a", text).bench.commissioned_digest for text in others}) == 6
 
 
 def test_the_beams_of_two_transducers_are_added_to_a_scene_and_must_not_contradict_it() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
@@ -12,10 +11,9 @@ from unittest.mock import patch
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.bench import emulate, is_bench_file, read_bench
+from hpe_rig.bench import is_bench_file, read_bench
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare, record_run
-from hpe_rig.scene import SettingsError
 from hpe_rig.store import read_run
 
 SERIALS = {
@@ -106,12 +104,3 @@ def test_a_bench_file_is_told_from_a_scene(real: Path, tmp_path: Path) -> None:
     assert absent.exit_code == 2
     assert "there is no file" in absent.output
     assert "path of a bench file or a scene" in " ".join(absent.output.split())
-
-
-def test_an_imported_recording_has_no_instruments_to_emulate() -> None:
-    bench = read_bench()
-    recording = {"source": "a", "sha256": "0" * 64, "format": "npy", "first_sample_s": 0.0}
-    imported = type(bench.bench).model_validate(bench.bench.model_dump() | {"recording": recording})
-    setup = prepare("bovine-muscle")
-    with pytest.raises(SettingsError, match="imported recording, without instruments"):
-        emulate(setup.scene.scene, replace(bench, bench=imported), "socket", print)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench import GENERATOR_ROLES, Bench, BenchFile, BenchText, commissioned_digest, parse_bench, read_bench
+from hpe_rig.bench import GENERATOR_ROLES, Bench, BenchFile, BenchText, parse_bench, read_bench
 from hpe_rig.measurement import CableResult, Operator, Tap, commission, record_commissioning, taps, twin_operator
 from hpe_rig.measurement.cable_signals import capture_of
 from hpe_rig.measurement.commissioning import _records
@@ -297,7 +297,7 @@ def test_delays_and_proofs_are_written_between_the_comments_of_the_bench_file(tm
     assert {cable.delay_u_s for cable in after.bench.wiring} == {0.4e-9}
     record = after.bench.commissioning
     assert record is not None
-    assert (record.date, record.digest) == (date(2026, 11, 25), commissioned_digest(after.bench))
+    assert (record.date, record.digest) == (date(2026, 11, 25), after.bench.commissioned_digest)
     assert record.cables[0] == "master.output -> burst_train.trigger"
     assert after.text.count("# 2 m") == 2
     assert "# feeds two TTL inputs" in after.text
