@@ -33,7 +33,7 @@ MAX_LOSS_DB = 6000.0
 class TwinDeclaration:
     """The twin that a scene declares, validated, with defaults and presets filled in.
 
-    ``settings`` has everything, for building a twin; the rest of the application uses the properties.
+    ``settings`` has everything; the properties and methods follow from it.
     """
 
     settings: SimulationSettings
@@ -42,11 +42,6 @@ class TwinDeclaration:
     def sound_speed_m_per_s(self) -> float:
         """Longitudinal sound speed."""
         return self.settings.sound_speed_m_per_s
-
-    @property
-    def scatterers_per_cell(self) -> float:
-        """Scatterers per resolution cell."""
-        return self.settings.scatterers.per_cell
 
     @property
     def has_echoes(self) -> bool:
@@ -64,36 +59,16 @@ class TwinDeclaration:
         return max(reach_m + [abs(reflector.position_m[2]) for reflector in scatterers.reflectors])
 
     @property
-    def snr_db(self) -> float | None:
-        """Echo power over noise power in the reference gate; None if the noise is not stated as a ratio."""
-        return self.settings.receiver.snr_db
-
-    @property
-    def reference_gate_m(self) -> float:
-        """Length of the gate around the focus to which ``snr_db`` applies."""
-        return self.settings.receiver.reference_gate_m
-
-    @property
-    def has_receive_chain(self) -> bool:
-        """Whether filters, switch and amplifiers between transducer and digitizer are simulated."""
-        return self.settings.receive_chain is not None
-
-    @property
     def has_noise(self) -> bool:
         """Whether receiver noise is simulated: by its SNR, or by the density at the input of the receive chain."""
         chain = self.settings.receive_chain
-        return self.snr_db is not None if chain is None else chain.noise_v_per_sqrt_hz is not None
+        return self.settings.receiver.snr_db is not None if chain is None else chain.noise_v_per_sqrt_hz is not None
 
     @property
     def noise_v(self) -> float:
         """Root-mean-square noise at the digitizer without receive chain; 0 without noise."""
         receiver = self.settings.receiver
         return 0.0 if receiver.snr_db is None else float(receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20))
-
-    @property
-    def trigger_jitter_s(self) -> float:
-        """Root-mean-square jitter between the sampling clock and a tracking pulse."""
-        return self.settings.instruments.trigger_jitter_s
 
     @property
     def jitters_s(self) -> dict[str, float]:
@@ -121,11 +96,6 @@ class TwinDeclaration:
     def push_focus_depth_m(self) -> float:
         """Distance from the pushing transducer to the common focus."""
         return self.settings.beams.focus_depth_m
-
-    @property
-    def has_specimen(self) -> bool:
-        """Whether the tonebursts move a medium."""
-        return self.settings.specimen is not None
 
     @property
     def foreign_medium(self) -> str | None:

@@ -43,7 +43,7 @@ def main() -> None:
         # The matrices are small: threads of the algebra library would only wait for each other.
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     streams = queue_streams()
-    exit_code = finish_streams(streams, _run(), sys.argv[1:])
+    exit_code = finish_streams(streams, _run())
     # All messages are printed and every output is off: a signal must not change the exit code.
     ignore_interrupts()
     # A thread of ``store/task.py`` that still waits for its disk may hold the lock of h5py, for which Python's shutdown

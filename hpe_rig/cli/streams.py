@@ -12,12 +12,10 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 from hpe_rig.bench import END_SIGNALS
-from hpe_rig.cli.terminal import LogLevel
 from hpe_rig.queued_file import QueuedFile, WritingThread, queued_text
 
 END_S: Final = 2.0
@@ -25,9 +23,6 @@ END_S: Final = 2.0
 POLL_S: Final = 0.05
 EXIT_FAILED, EXIT_SIGNAL = 1, 128
 """Exit code without results; the number added to that of a signal, as in a shell."""
-
-WRITE_RUN_FILES: Final = ("run", "resume", "queue", "import")
-"""Commands whose result is also in a run file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +59,9 @@ def queue_streams() -> Streams:
     return Streams(output, errors, replaced)
 
 
-def finish_streams(streams: Streams, exit_code: int, arguments: Sequence[str] = ()) -> int:
+def finish_streams(streams: Streams, exit_code: int) -> int:
     """Wait until results and messages are written; return ``exit_code``, or another one if results are missing.
 
-    The message about missing results depends on the ``arguments`` of the program.
     Results are waited for without limit, but at most ``END_S`` after a signal; messages at most ``END_S``.
     """
     arrived = _note_signals()
@@ -80,7 +74,7 @@ def finish_streams(streams: Streams, exit_code: int, arguments: Sequence[str] = 
             exit_code = exit_code or EXIT_FAILED
             # A reader that has seen enough, such as `head`, is no mistake of the user.
             if file.failure.errno != errno.EPIPE:
-                print(_missing_results_text(file.failure, arguments), file=sys.stderr)
+                print(_missing_results_text(file.failure), file=sys.stderr)
     if streams.errors is not None:
         file, thread = streams.errors
         sys.stderr.flush()
@@ -146,11 +140,6 @@ def _dropped_text(lines: int) -> str:
     return f"hpe-rig: {lines} lines were not shown, because none was read for too long\n"
 
 
-def _missing_results_text(failure: OSError, arguments: Sequence[str]) -> str:
-    why = failure.strerror or failure
-    remedy = "the command again with another output, such as a file on another disk"
-    # The first argument without a dash is the command, apart from the level of --log-level.
-    words = [word for word in arguments if not word.startswith("-") and word not in set(LogLevel)]
-    if words[:1] and words[0] in WRITE_RUN_FILES and "--help" not in arguments:
-        remedy = "another file or disk, and hpe-rig process RUN.h5, which prints the result of a complete run file"
-    return f"hpe-rig: results are missing: standard output cannot be written ({why}). Try: {remedy}."
+def _missing_results_text(failure: OSError) -> str:
+    what = f"results are missing: standard output cannot be written ({failure.strerror or failure})"
+    return f"hpe-rig: {what}. Try: another file or disk; hpe-rig process RUN.h5 prints the result of a run file again."

@@ -179,4 +179,4 @@ def _scattering(beams: Conditions, draws: int, seed: int) -> Scattering:
 def _simulates_specimen(scene: Scene) -> bool:
     """Return whether the expected amplitude is that of the simulated specimen, which already follows the force."""
     twin = twin_of(scene)
-    return scene.processing.expected_amplitude_m is None and twin is not None and twin.has_specimen
+    return scene.processing.expected_amplitude_m is None and twin is not None and twin.settings.specimen is not None

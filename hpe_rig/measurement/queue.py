@@ -48,8 +48,6 @@ QUEUE_FILE, QUEUE_COPY = "queue.json", "queue-copy.json"
 QUEUE_LOCK = "queue.lock"
 QUEUE_FORMAT = "hpe_rig queue"
 MAX_RUNS = 1000
-MIN_FRACTION_DONE = 0.2
-"""Planned duration of the runs done over that of the runs left, above which their measured duration sets the pace."""
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 RUN_FAILURES = (InstrumentError, StoreError, PlanError, SettingsError, OSError, MemoryError)
 """Errors that end one run and not the queue. An output that is not verified off ends the queue."""
@@ -298,31 +296,19 @@ def _set(folder: Path, runs: list[QueueRun], index: int, **changes: Any) -> None
 
 
 def time_left_s(queue: Sequence[QueueRun], index: int) -> float:
-    """Return the expected duration of the runs from ``index`` on, from their plans and the runs that are done."""
-    pace, excess_s = _pace(queue, index)
-    planned_s = [run.planned_s for run in queue[index:] if run.state != "done"]
-    return pace * sum(planned_s) + excess_s * len(planned_s)
+    """Return the expected duration of the runs from ``index`` on: each as planned, plus the mean excess of those done.
 
-
-def _pace(queue: Sequence[QueueRun], index: int) -> tuple[float, float]:
-    """Return measured over planned duration, and the further duration of each run, s, for the runs from ``index`` on.
-
-    The measured over planned duration of runs that are short beside those left is mostly opening and computing, which
-    takes the same time in each run.
+    The excess is mostly opening and computing, which take the same time in each run.
     """
     # Resumed runs have no measured duration.
-    done = [run for run in queue if run.state == "done" and run.took_s]
-    took_s, planned_s = sum(run.took_s for run in done), sum(run.planned_s for run in done)
-    if not done:
-        return 1.0, 0.0
-    if planned_s < MIN_FRACTION_DONE * sum(run.planned_s for run in queue[index:] if run.state != "done"):
-        return 1.0, max(took_s - planned_s, 0.0) / len(done)
-    return took_s / planned_s, 0.0
+    excess_s = [run.took_s - run.planned_s for run in queue if run.state == "done" and run.took_s]
+    mean_excess_s = max(sum(excess_s), 0.0) / len(excess_s) if excess_s else 0.0
+    return sum(run.planned_s + mean_excess_s for run in queue[index:] if run.state != "done")
 
 
 def _end_text(queue: Sequence[QueueRun], index: int) -> str:
     """Return when the queue is expected to end, at the start of run ``index``."""
-    basis = "from the plans" if _pace(queue, index) == (1.0, 0.0) else "from the plans and the runs so far"
+    basis = "from the plans and the runs so far" if any(run.took_s for run in queue) else "from the plans"
     end = datetime.now().astimezone() + timedelta(seconds=time_left_s(queue, index))
     return f"the queue ends at about {end.isoformat(' ', 'minutes')}, {basis}"
 

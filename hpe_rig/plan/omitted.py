@@ -52,14 +52,14 @@ def reason_without_prior(scene: Scene) -> str | None:
 
 
 def _omitted_by_twin(twin: TwinDeclaration | None) -> Iterator[Omission]:
-    chain = twin is not None and twin.has_receive_chain
+    chain = twin is not None and twin.settings.receive_chain is not None
     if not chain:
         yield Omission("receive chain", "the scene has no [simulation.receive_chain]: filters and switch are ideal")
     if twin is None or not twin.has_noise:
         key = "receive_chain.noise_v_per_sqrt_hz" if chain else "receiver.snr_db"
         yield Omission("receiver noise", f"simulation.{key} is absent")
-    if twin is None or not twin.trigger_jitter_s:
+    if twin is None or not twin.settings.instruments.trigger_jitter_s:
         yield Omission("trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0")
-    if twin is None or not twin.has_specimen:
+    if twin is None or twin.settings.specimen is None:
         motion = "the motion is prescribed" if twin is not None and twin.prescribed else "nothing moves"
         yield Omission("specimen response", f"{motion}: the scene has no [simulation.specimen]")

@@ -74,7 +74,7 @@ def resting_conditions(scene: Scene) -> Conditions | None:
     if scene.beams is None or not scene.wanted_frequencies_hz:
         return None
     acquisition, tracking, beams, twin = scene.acquisition, scene.tracking, scene.beams, twin_of(scene)
-    per_cell = 0.0 if twin is None else twin.scatterers_per_cell
+    per_cell = 0.0 if twin is None else twin.settings.scatterers.per_cell
     return Conditions(
         excitation_width_m=beams.excitation_width_m,
         tracking_width_m=beams.tracking_width_m,
@@ -97,14 +97,15 @@ def expected_snr_db(scene: Scene) -> float | None:
     if scene.processing.expected_snr_db is not None:
         return scene.processing.expected_snr_db
     twin = twin_of(scene)
-    if twin is None or twin.snr_db is None or scene.beams is None:
-        return None if twin is None else twin.snr_db
+    receiver = None if twin is None else twin.settings.receiver
+    if receiver is None or receiver.snr_db is None or scene.beams is None:
+        return None if receiver is None else receiver.snr_db
     # The twin's SNR holds in its reference gate; a longer gate has less echo power on average.
     pulse = pulse_length_m(scene), scene.beams.tracking_width_m[2]
     power, reference = (
-        echo_power(gate_m, *pulse) for gate_m in (scene.acquisition.gate_length_m, twin.reference_gate_m)
+        echo_power(gate_m, *pulse) for gate_m in (scene.acquisition.gate_length_m, receiver.reference_gate_m)
     )
-    return twin.snr_db + 10 * math.log10(power / reference)
+    return float(receiver.snr_db + 10 * math.log10(power / reference))
 
 
 def expected_amplitude_m(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:
@@ -117,7 +118,7 @@ def expected_amplitude_m(scene: Scene, frequency_hz: float, shot: Shot | None = 
     twin = twin_of(scene)
     if twin is None:
         return DEFAULT_AMPLITUDE_M
-    if twin.has_specimen:
+    if twin.settings.specimen is not None:
         drive = relative_drive(scene, frequency_hz, shot)
         return drive * twin.steady_response_m(frequency_hz) if drive > 0 else DEFAULT_AMPLITUDE_M
     prescribed_m = abs(twin.prescribed_phasor_m(frequency_hz))

@@ -72,7 +72,7 @@ def conditions_of(
         frequency_hz=frequency_hz,
         amplitude_m=expected_amplitude_m(scene, frequency_hz, shot),
         snr=10 ** (snr_db / 10) / (2 if has_reference else 1),
-        trigger_jitter_s=0.0 if twin is None or has_reference else twin.trigger_jitter_s,
+        trigger_jitter_s=0.0 if twin is None or has_reference else twin.settings.instruments.trigger_jitter_s,
         fit_gain=1.0 if shot is None else _fit_gain(scene, shot, frequency_hz, pulses, estimator),
     )
 

@@ -71,7 +71,7 @@ def error_sources_of(scene: Scene, simulated: bool) -> ErrorSources:
     return ErrorSources(
         sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
         sound_speed_uncertainty=scene.acquisition.sound_speed_uncertainty,
-        trigger_jitter_s=0.0 if twin is None else twin.trigger_jitter_s,
+        trigger_jitter_s=0.0 if twin is None else twin.settings.instruments.trigger_jitter_s,
     )
 
 

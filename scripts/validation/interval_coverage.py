@@ -235,7 +235,7 @@ def _bowl(scene: Scene) -> bool:
 def _as_large(scene: Scene, before: Scene) -> Scene:
     """Return ``scene`` with the drive that makes its first harmonic as large as in ``before``."""
     twin, twin_before = twin_of(scene), twin_of(before)
-    if twin is None or twin_before is None or not twin.has_specimen:
+    if twin is None or twin_before is None or twin.settings.specimen is None:
         return scene
     force, hz = twin_before.settings.specimen, scene.wanted_frequencies_hz[0]
     assert force is not None

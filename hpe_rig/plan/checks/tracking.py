@@ -36,7 +36,7 @@ def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResul
         offset_m = abs(simulated_gate_depth_m(scene, bench, twin, plan)[0] - twin.focus_depth_m)
         yield from _echo_length(scene, twin)
         # With a receive chain the level at the digitizer depends on its filters and amplifiers.
-        if not twin.has_receive_chain:
+        if twin.settings.receive_chain is None:
             nearest_m = max(0.0, offset_m - scene.acquisition.gate_length_m / 2)
             yield from _echo_level(bench, plan.shots[0], twin, nearest_m)
     yield from _jitter(scene, twin)
