@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 from hpe_rig.bench.bench_file import NO_SERIAL, BenchFile
-from hpe_rig.bench.resource_name import resource_names, shared_addresses, wrong_ports
+from hpe_rig.bench.resource_name import resource_names, shared_addresses
 from hpe_rig.scene import (
     Mistake,
     Scene,
@@ -66,19 +66,13 @@ def read_bench(path: Path | None = None, lenient: bool = False) -> BenchText:
 
 
 def wrong_values(bench: BenchFile) -> Iterator[Mistake]:
-    """Yield limits in the wrong order, serial numbers that no instrument has, and a calibration that ends too early."""
+    """Yield limits in the wrong order, serial numbers that no instrument has, and a lock that no board has."""
     yield from _reversed_bands(bench)
     yield from _impossible_serials(bench)
     if bench.digitizer.common_reference:
         what = f"the driver cannot lock an {bench.digitizer.model} to a 10 MHz reference"
         remedy = "no such key: common_reference of burst_train and tracking_train suffices"
         yield Mistake("digitizer.common_reference", what, remedy)
-    calibration = bench.calibration
-    if calibration is None or calibration.date is None or calibration.valid_until is None:
-        return
-    if calibration.valid_until < calibration.date:
-        what = f"{calibration.valid_until} is before the measurement, calibration.date = {calibration.date}"
-        yield Mistake("calibration.valid_until", what, "a day after the measurement, or the two exchanged")
 
 
 def _reversed_bands(bench: BenchFile) -> Iterator[Mistake]:
@@ -100,7 +94,7 @@ def _impossible_serials(bench: BenchFile) -> Iterator[Mistake]:
 
 
 def _wrong_on_metal(bench: BenchFile) -> list[Mistake]:
-    mistakes = [*wrong_ports(bench), *shared_addresses(bench, resource_names(bench))]
+    mistakes = list(shared_addresses(bench, resource_names(bench)))
     if bench.title == read_bench().bench.title:
         what = "this is the title of the simulated bench, and every report of this real bench would show it"
         mistakes.append(Mistake("title", what, 'a title such as "HPE bench, room 12"'))

@@ -31,8 +31,6 @@ HISLIP_PORT: Final = "4880"
 PROLOGIX_PORT: Final = "1234"
 CLASSES: Final = ("INSTR", "SOCKET", "INTFC", "RAW")
 LOOPBACK: Final = "127.0.0.1"
-LAST_PORT: Final = 65535
-SOCKET_EXAMPLE: Final = "TCPIP0::192.168.1.20::5025::SOCKET"
 
 
 def literal_host(host: str) -> str:
@@ -169,21 +167,3 @@ def shared_addresses(bench: BenchFile, names: Mapping[str, str]) -> Iterator[Mis
         spelled = repr(addresses[1]) if addresses[0] == addresses[1] else f"{addresses[1]!r} and {addresses[0]!r}"
         what = f"{first} and {role} have the same instrument, {spelled}"
         yield Mistake(f"generators.{role}.address", what, "the address of another instrument")
-
-
-def wrong_ports(bench: BenchFile) -> Iterator[Mistake]:
-    """Yield a mistake for each address with a port that no host has."""
-    for role, generator in bench.generators.by_role.items():
-        for key, address in (("address", generator.address), ("interface", generator.interface)):
-            for port in _ports(address or ""):
-                if port > LAST_PORT:
-                    remedy = f"a port from 1 to {LAST_PORT}, such as 5025 in {SOCKET_EXAMPLE}"
-                    yield Mistake(f"generators.{role}.{key}", f"{port} is no port", remedy)
-
-
-def _ports(address: str) -> list[int]:
-    """Return the numbers in the fields after the host, which are ports or, never above them, GPIB addresses."""
-    # The groups of an IPv6 address, in brackets, are no fields.
-    text = re.sub(r"\[[^\]]*\]", "host", address.strip())
-    fields = re.fullmatch(r"(?:(?:PRLGX-)?TCPIP\d*::|ASRLsocket://)[^:,]*(.*)", text, re.IGNORECASE)
-    return [int(number) for number in re.findall(r"[:,](\d+)(?=::|$)", fields[1])] if fields else []

@@ -89,7 +89,7 @@ def program(
     ] = False,
     log_level: Annotated[
         LogLevel, typer.Option("--log-level", help="Logged to standard error; debug: every message to an instrument.")
-    ] = LogLevel.WARNING,
+    ] = "warning",
 ) -> None:
     """Measure harmonic motion in tissue with pulsed ultrasound excitation, on a real or simulated bench."""
     start_logging(log_level)

@@ -12,7 +12,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import StrEnum
+from typing import Literal
 
 MIN_COLUMNS = 40
 MAX_INDENT = 18
@@ -24,6 +24,7 @@ REPORT_INTERVAL_S = 10.0
 
 LOGGERS = ("hpe_rig", "drivers", "sim_backend")
 """Loggers of the steps of a run, of messages to instruments, and of commands that the twin ignores."""
+LogLevel = Literal["debug", "info", "warning", "error"]
 Report = Callable[[int, int, str], None]
 """Reports progress: number done, total, and the present step."""
 
@@ -123,15 +124,6 @@ def duration_text(duration_s: float) -> str:
     if duration_s < 90:
         return f"{duration_s:.0f} s"
     return f"{duration_s / 60:.0f} min" if duration_s < 5400 else f"{duration_s / 3600:.1f} h"
-
-
-class LogLevel(StrEnum):
-    """Levels of Python's ``logging`` in lower case."""
-
-    DEBUG = "debug"
-    INFO = "info"
-    WARNING = "warning"
-    ERROR = "error"
 
 
 def start_logging(level: LogLevel) -> None:

@@ -2,22 +2,19 @@
 
     setup.py          scene and bench file -> plan and the findings of its checks
     run.py            setup -> run file with the records of every shot
-    mover.py          movement of the tracking transducer between shots
-    conditions.py     a wait until the conditions of the bench are within limits
+    between_shots.py  movement of the tracking transducer, wait until conditions are within limits
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     background.py     storage and observers in separate threads while outputs are on
     awake.py          the computer does not sleep during a run
     full_scale.py     end of a run if its first shot is at full scale throughout
     recording.py      events of the sequencer -> run file
-    pause.py          a pause between two shots, from the terminal or the live page
-    stop_request.py   a safe stop requested by another process
+    requests.py       a safe stop, or a pause between two shots, requested by another process
     resumption.py     a stopped run continued with its missing shots
     queue.py          several runs one after another under one lock
     provenance.py     operator, time and place of a measurement
     log.py            the log file of a run
     cable_signals.py  a waveform for each instrument, and its time of arrival in records
-    commissioning.py  every cable driven and looked for at the digitizer
-    commissioning_record.py  its results written into the bench file
+    commissioning.py  every cable driven and looked for at the digitizer; results written into the bench file
 
 ``prepare`` and ``record_run`` are the two halves of a measurement.
 """

@@ -1,22 +1,14 @@
+from .between_shots import Mover as Mover
 from .commissioning import (
     CableResult as CableResult,
     Operator as Operator,
     Tap as Tap,
     commission as commission,
+    record_commissioning as record_commissioning,
     taps as taps,
     twin_operator as twin_operator,
 )
-from .commissioning_record import record_commissioning as record_commissioning
 from .log import run_log as run_log
-from .mover import Mover as Mover
-from .pause import (
-    awaited_offset_m as awaited_offset_m,
-    clearing_requests as clearing_requests,
-    pause_requested as pause_requested,
-    toggle_pause as toggle_pause,
-    wait_for_move as wait_for_move,
-    with_requests as with_requests,
-)
 from .provenance import provenance_now as provenance_now
 from .queue import (
     QueueHooks as QueueHooks,
@@ -28,6 +20,19 @@ from .queue import (
     run_queue as run_queue,
     stop_queue as stop_queue,
     time_left_s as time_left_s,
+)
+from .requests import (
+    StopRequested as StopRequested,
+    awaited_offset_m as awaited_offset_m,
+    clear_stale_stop as clear_stale_stop,
+    clearing_requests as clearing_requests,
+    pause_requested as pause_requested,
+    request_stop as request_stop,
+    stop_path as stop_path,
+    stop_requested as stop_requested,
+    toggle_pause as toggle_pause,
+    wait_for_move as wait_for_move,
+    with_requests as with_requests,
 )
 from .resumption import prepare_resumption as prepare_resumption, resume as resume
 from .run import record_run as record_run
@@ -47,11 +52,4 @@ from .setup import (
     prepare_text as prepare_text,
     setup_of_run as setup_of_run,
     source_text as source_text,
-)
-from .stop_request import (
-    StopRequested as StopRequested,
-    clear_stale_stop as clear_stale_stop,
-    request_stop as request_stop,
-    stop_path as stop_path,
-    stop_requested as stop_requested,
 )

@@ -19,13 +19,13 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench import hold, resources, uninterrupted
-from hpe_rig.measurement.mover import Mover
+from hpe_rig.measurement.between_shots import Mover
 from hpe_rig.measurement.provenance import provenance_now
+from hpe_rig.measurement.requests import StopRequested, clear_stop, stop_requested, write_stop
 from hpe_rig.measurement.resumption import Resumption, prepare_resumption, resume
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Observer
 from hpe_rig.measurement.setup import Setup, prepare_text, source_text
-from hpe_rig.measurement.stop_request import StopRequested, clear_stop, stop_requested, write_stop
 from hpe_rig.plan import PlanError
 from hpe_rig.result import Result
 from hpe_rig.scene import Mistake, Section, SettingsError, parse_toml, printable, validated

@@ -14,20 +14,12 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self, final
+from typing import Self, final
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import INTERRUPTS, Bench, interruptible, uninterrupted
 from hpe_rig.measurement.background import POLL_S, BackgroundTasks
-from hpe_rig.measurement.sequencer import (
-    Event,
-    ShotBlock,
-    ShotConditions,
-    ShotDone,
-    ShotReady,
-    ShotSettingsChanged,
-    ShotUntrusted,
-)
+from hpe_rig.measurement.sequencer import Event, ShotBlock, ShotDone, ShotReady, ShotRows
 from hpe_rig.plan import Shot
 from hpe_rig.processing import true_harmonics_m
 from hpe_rig.result import Stages
@@ -45,17 +37,14 @@ GIVE_UP_S = 5.0
 """Time limit of one write after the run was interrupted: the user is waiting for it to end."""
 
 
-class CreateWriter(Protocol):
-    """Creates the run file; gives up as soon as ``cancelled`` is set."""
-
-    def __call__(self, *, cancelled: threading.Event) -> RunWriter: ...
-
-
 @final
 class RunRecorder:
-    """Writes the events of a run to the file that ``create`` opens: at once or, with ``defer``, at the first record."""
+    """Writes the events of a run to the file that ``create`` opens: at once or, with ``defer``, at the first record.
 
-    def __init__(self, path: Path, create: CreateWriter, defer: bool) -> None:
+    ``create`` gives up as soon as its argument ``cancelled`` is set.
+    """
+
+    def __init__(self, path: Path, create: Callable[..., RunWriter], defer: bool) -> None:
         self._path = path
         self._create = create
         self._defer = defer
@@ -170,12 +159,7 @@ class RunRecorder:
                 self._first_settings = event
             case ShotReady(shot, settings):
                 self._run(partial(self._open().write_settings, shot, settings))
-            case ShotUntrusted(shot, why):
-                self._run(partial(self._open().write_rows, shot, {"untrusted": why}))
-            case ShotSettingsChanged(shot, changes):
-                self._run(partial(self._open().write_rows, shot, {"changed_settings": changes}))
-            case ShotConditions(shot, before, after):
-                rows = {"conditions/before": before, "conditions/after": after}
+            case ShotRows(shot, rows):
                 self._run(partial(self._open().write_rows, shot, rows))
             case ShotDone():
                 self._finish_shot(event, scene, bench, stages)

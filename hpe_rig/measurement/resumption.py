@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hpe_rig.bench import GENERATOR_ROLES, BenchFile
-from hpe_rig.measurement.mover import Mover
+from hpe_rig.measurement.between_shots import Mover
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Observer, ignore_progress
 from hpe_rig.measurement.setup import Setup, prepare_text, setup_of_run, source_text

@@ -13,8 +13,8 @@ from pathlib import Path
 from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uninterrupted
 from hpe_rig.measurement.awake import kept_awake
 from hpe_rig.measurement.background import detached
+from hpe_rig.measurement.between_shots import Mover, choose_mover, require_mover
 from hpe_rig.measurement.full_scale import end_at_full_scale
-from hpe_rig.measurement.mover import Mover, choose_mover, require_mover
 from hpe_rig.measurement.recording import RunRecorder
 from hpe_rig.measurement.sequencer import (
     DRIVING_STEPS,

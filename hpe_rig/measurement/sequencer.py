@@ -11,8 +11,7 @@ from functools import partial
 
 from drivers.interfaces import DeadlineError, InstrumentError, RecordBlock, Setting
 from hpe_rig.bench import Bench, Condition, read_conditions
-from hpe_rig.measurement.conditions import wait_for_conditions
-from hpe_rig.measurement.mover import Mover, choose_mover
+from hpe_rig.measurement.between_shots import Mover, choose_mover, wait_for_conditions
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
 _LOG = logging.getLogger("hpe_rig")
@@ -66,28 +65,11 @@ class ShotBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class ShotUntrusted:
-    """A shot has ended with all outputs off, but settings changed during it: ``why``."""
+class ShotRows:
+    """What the run file stores of a shot besides its records, by name: conditions, and settings that changed."""
 
     shot: Shot
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class ShotSettingsChanged:
-    """Settings read back after a shot differ from those before it: ``changes``; outputs are off."""
-
-    shot: Shot
-    changes: str
-
-
-@dataclass(frozen=True, slots=True)
-class ShotConditions:
-    """Conditions read before and after a shot, each (condition,), NaN if not read."""
-
-    shot: Shot
-    before: tuple[float, ...]
-    after: tuple[float, ...]
+    rows: Mapping[str, str | tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +80,7 @@ class ShotDone:
     clipped: bool
 
 
-Event = ShotReady | ShotBlock | ShotUntrusted | ShotSettingsChanged | ShotConditions | ShotDone
+Event = ShotReady | ShotBlock | ShotRows | ShotDone
 Observer = Callable[[Progress], None]
 
 
@@ -117,7 +99,7 @@ def acquire(
 
     If records stop before the deadline, those that arrived are yielded; ``DeadlineError`` is raised if none did.
     Outputs and settings are read back before the first and after the last record. If one has changed, the shot yields
-    ``ShotUntrusted`` and, unless the plan accepts changes, ends with ``InstrumentError``.
+    ``ShotRows`` and, unless the plan accepts changes, ends with ``InstrumentError``.
     In ``DRIVING_STEPS`` neither ``observer`` nor the reader of the events may wait: outputs are on.
     The tracking transducer is moved to the lateral offset of a shot before anything is programmed. Then ``conditions``
     are read, and a shot waits until they are within their limits. They are read again after the shot, as are all
@@ -146,9 +128,9 @@ def acquire(
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
         if differences := bench.changed_since(settings):
-            yield ShotSettingsChanged(shot, "; ".join(differences))
+            yield ShotRows(shot, {"changed_settings": "; ".join(differences)})
         if changes:
-            yield ShotUntrusted(shot, changes)
+            yield ShotRows(shot, {"untrusted": changes})
             if plan.stops_on_changed_settings:
                 what = f"shot {shot.index + 1} is not to be trusted: {changes}"
                 cause = "its records are stored and marked as untrusted"
@@ -159,7 +141,8 @@ def acquire(
         yield ShotDone(shot, bench.digitizer.clipped())
         # Last, so that an interrupt while a command is awaited leaves the shot complete.
         if conditions:
-            yield ShotConditions(shot, before, tuple(reading.value for reading in read_conditions(conditions)))
+            after = tuple(reading.value for reading in read_conditions(conditions))
+            yield ShotRows(shot, {"conditions/before": before, "conditions/after": after})
 
 
 def _with_step_logging(observer: Observer) -> Observer:

@@ -29,7 +29,7 @@ def plan_text(title: str, plan: Plan, results: Sequence[CheckResult], columns: i
     is_refused = any(item.check == "interference" and item.level == "refused" for item in results)
     lines = [title, "", verdict(results), *(f"  {_MARK[item.level]} {item}" for item in by_level)]
     lines += ["", *_drawing(shot, max(columns - NAME_COLUMNS, 20)), "", *_table(plan, shot, is_refused), "", "omitted:"]
-    lines += [f"  {item.what}: {item.why}" for item in plan.omitted] or ["  nothing"]
+    lines += [f"  {what}: {why}" for what, why in plan.omitted] or ["  nothing"]
     lines += ["", f"checks: {len(passed)} of {len(results)} passed{'' if verbose else ' (--verbose lists them)'}"]
     return "\n".join([*lines, *(f"  {_MARK[item.level]} {item}" for item in passed if verbose and item not in shown)])
 

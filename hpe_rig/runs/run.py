@@ -144,7 +144,7 @@ class Run:
                 *gate_failures,
             ),
             conditions=condition_summaries(self.bench, self.stored),
-            omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, name), self.bench)),
+            omitted=tuple(omissions(_with_estimator(self.scene, name), self.bench)),
             versions=versions(),
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,

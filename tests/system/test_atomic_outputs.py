@@ -20,8 +20,8 @@ from hpe_rig.cli.app import app
 from hpe_rig.cli.stored import write_map
 from hpe_rig.measurement.log import run_log
 from hpe_rig.measurement.queue import QueueRun, write_queue
+from hpe_rig.measurement.requests import write_request, write_stop
 from hpe_rig.measurement.setup import prepare
-from hpe_rig.measurement.stop_request import write_request, write_stop
 from hpe_rig.result import MotionMap
 from hpe_rig.store import StoreError, replace_text, write_marks
 from hpe_rig.study.definition import Definition

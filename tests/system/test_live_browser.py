@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from hpe_rig.measurement.requests import StopRequested
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress
 from hpe_rig.measurement.setup import prepare, prepare_text
-from hpe_rig.measurement.stop_request import StopRequested
 from hpe_rig.report.page import write_report
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import WriteOptions, read_run

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare, record_run
-from hpe_rig.measurement.mover import require_mover
+from hpe_rig.measurement.between_shots import require_mover
 from hpe_rig.moduli import ModuliResult
 from hpe_rig.report.page import _scene_at
 from hpe_rig.runs import json_schema

@@ -24,8 +24,8 @@ from hpe_rig.measurement import (
     stop_path,
     stop_requested,
 )
+from hpe_rig.measurement.requests import clear_stop, with_stop_requests
 from hpe_rig.measurement.resumption import prepare_resumption
-from hpe_rig.measurement.stop_request import clear_stop, with_stop_requests
 from hpe_rig.runs.run import process
 from hpe_rig.store import StoreError, WriteOptions, read_run, result_path, task
 

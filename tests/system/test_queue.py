@@ -39,7 +39,7 @@ from hpe_rig.measurement import (
     run_queue,
     toggle_pause,
 )
-from hpe_rig.measurement.pause import with_pauses
+from hpe_rig.measurement.requests import with_pauses
 from hpe_rig.runs import json_schema, process
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify

@@ -18,12 +18,12 @@ from typer.testing import CliRunner
 from drivers.agilent.generator import Agilent33250A
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.cli.app import app
-from hpe_rig.measurement import run as run_module, stop_request as live_stop
+from hpe_rig.measurement import requests as live_stop, run as run_module
+from hpe_rig.measurement.requests import request_stop, stop_path
 from hpe_rig.measurement.resumption import prepare_resumption, resume
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress
 from hpe_rig.measurement.setup import Setup
-from hpe_rig.measurement.stop_request import request_stop, stop_path
 from hpe_rig.result.provenance import Stages
 from hpe_rig.runs.run import process
 from hpe_rig.store import StoreError, read_run, writer as store_writer

@@ -51,7 +51,7 @@ from pathlib import Path
 from drivers.alazar.digitizer import AlazarDigitizer
 from hpe_rig.bench import opening
 from hpe_rig.cli.app import main
-from hpe_rig.measurement import sequencer, stop_request
+from hpe_rig.measurement import requests, sequencer
 from hpe_rig.store import log
 import hpe_rig, hpe_rig.measurement.log, hpe_rig.runs, hpe_rig.processing, hpe_rig.cli.watch, hpe_rig.cli.tables
 import rich.progress, scipy.linalg
@@ -117,8 +117,7 @@ def answering(function):
         return function(*arguments)
     return call
 log.LogWriter._write = answering(log.LogWriter._write)
-stop_request.read_request = answering(stop_request.read_request)
-sys.modules["hpe_rig.measurement.pause"].read_request = stop_request.read_request
+requests.read_request = answering(requests.read_request)
 
 logging_of = sequencer._with_step_logging
 def stalling(observer):

@@ -27,11 +27,10 @@ from hpe_rig.live import history, server
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource, Source
 from hpe_rig.live.state import State
-from hpe_rig.measurement.pause import pause_path, wait_for_move
+from hpe_rig.measurement.requests import StopRequested, pause_path, wait_for_move
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress, Step
 from hpe_rig.measurement.setup import prepare, prepare_text
-from hpe_rig.measurement.stop_request import StopRequested
 from hpe_rig.runs.run import process
 from hpe_rig.scene import load_scene, scene_text
 from hpe_rig.store import StoreError, WriteOptions, read_run

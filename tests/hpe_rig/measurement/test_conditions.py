@@ -18,7 +18,7 @@ from drivers.interfaces import InstrumentError
 from hpe_rig.bench import Condition, open_bench, parse_bench, read_bench
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import Progress, Setup, Step, acquire, prepare_resumption, prepare_text, record_run, resume
-from hpe_rig.measurement.conditions import wait_for_conditions
+from hpe_rig.measurement.between_shots import wait_for_conditions
 from hpe_rig.runs import json_schema, open_run
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import list_runs, read_run

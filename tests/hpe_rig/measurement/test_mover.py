@@ -11,8 +11,8 @@ from typing import Any, cast
 import pytest
 
 from hpe_rig.bench import Bench
-from hpe_rig.measurement import mover, prepare, record_run
-from hpe_rig.measurement.mover import STAGES, choose_mover, require_mover
+from hpe_rig.measurement import between_shots, prepare, record_run
+from hpe_rig.measurement.between_shots import STAGES, choose_mover, require_mover
 from hpe_rig.plan import Plan
 from hpe_rig.scene import SettingsError, load_scene
 
@@ -34,7 +34,7 @@ def stages(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[float]]:
         assert group == STAGES
         return [SimpleNamespace(name=name, load=lambda name=name: movements[name].append) for name in movements]
 
-    monkeypatch.setattr(mover, "entry_points", entry_points)
+    monkeypatch.setattr(between_shots, "entry_points", entry_points)
     return movements
 
 

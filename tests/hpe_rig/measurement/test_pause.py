@@ -21,9 +21,8 @@ from hpe_rig.measurement import (
     wait_for_move,
     with_requests,
 )
-from hpe_rig.measurement.pause import clear_pause, pause_path, with_pauses
+from hpe_rig.measurement.requests import clear_pause, pause_path, with_pauses, write_stop
 from hpe_rig.measurement.setup import prepare
-from hpe_rig.measurement.stop_request import write_stop
 from hpe_rig.plan import Shot
 from hpe_rig.store import StoreError
 

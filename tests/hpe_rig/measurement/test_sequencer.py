@@ -12,7 +12,7 @@ import pytest
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench import Bench, open_bench
 from hpe_rig.measurement import Progress, Setup, ShotBlock, Step, acquire, prepare_text, program_shot, sequencer
-from hpe_rig.measurement.sequencer import ShotReady
+from hpe_rig.measurement.sequencer import ShotReady, ShotRows
 from hpe_rig.scene import shipped_scenes
 
 # Two tonebursts and 16 pulses on prescribed motion: every instrument is used, the physics costs nothing.
@@ -158,7 +158,7 @@ def events_of(
 
         try:
             for event in acquire(plan, bench, observe):
-                events.append(type(event).__name__)
+                events.extend(event.rows if isinstance(event, ShotRows) else [type(event).__name__])
                 count += event.block.codes.shape[0] if isinstance(event, ShotBlock) else 0
                 assert bench.world is not None
                 if not isinstance(event, ShotBlock | ShotReady):
@@ -173,7 +173,7 @@ def test_a_setting_that_another_program_changes_during_a_shot_makes_it_untrusted
     setup: Setup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = {"toneburst": "VOLT 0.3"}
-    names = ["ShotReady", "ShotBlock", "ShotSettingsChanged", "ShotUntrusted"]
+    names = ["ShotReady", "ShotBlock", "changed_settings", "untrusted"]
     events, count = events_of(setup, Step.COLLECT, changed)
     assert (list(dict.fromkeys(events))[:-1], count) == (names, 16)
     assert events[-1].startswith("bench: shot 1 is not to be trusted: toneburst: settings after the shot: ")
@@ -192,7 +192,7 @@ def test_missing_records_are_an_error_unless_some_came_or_a_change_explains_it(
 ) -> None:
     off = {"tracking_train": "OUTP 0"}
     events, count = events_of(setup, Step.FIRE, off)
-    assert (events[:-1], count) == (["ShotReady", "ShotUntrusted"], 0)
+    assert (events[:-1], count) == (["ShotReady", "untrusted"], 0)
     assert "tracking_train" in events[-1]
     monkeypatch.setattr(Bench, "recheck", lambda bench: ())
     events, count = events_of(setup, Step.FIRE, off)

@@ -20,7 +20,7 @@ from hpe_rig.measurement import (
     stop_path,
     stop_requested,
 )
-from hpe_rig.measurement.stop_request import clear_stop, with_stop_requests, write_stop
+from hpe_rig.measurement.requests import clear_stop, with_stop_requests, write_stop
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError, WriteOptions, new_run_id, read_run
 
