@@ -13,8 +13,8 @@ from hpe_rig.measurement import (
     StopRequested,
     awaited_offset_m,
     clearing_requests,
-    pause,
     pause_requested,
+    requests,
     stop_path,
     stop_requested,
     toggle_pause,
@@ -137,7 +137,7 @@ def test_requests_end_with_their_run_and_not_later_than_its_disk_allows(
     assert not pause_path(path).exists()
     assert not stop_path(path).exists()
     answers = threading.Event()
-    monkeypatch.setattr(pause, "CLEAR_S", 0.1)
+    monkeypatch.setattr(requests, "CLEAR_S", 0.1)
     monkeypatch.setattr(pause, "clear_pause", lambda run_file, run_id: answers.wait(60))
     write_stop(path, "one")
     with clearing_requests(path, "one"):
