@@ -138,7 +138,7 @@ def test_requests_end_with_their_run_and_not_later_than_its_disk_allows(
     assert not stop_path(path).exists()
     answers = threading.Event()
     monkeypatch.setattr(requests, "CLEAR_S", 0.1)
-    monkeypatch.setattr(pause, "clear_pause", lambda run_file, run_id: answers.wait(60))
+    monkeypatch.setattr(requests, "clear_pause", lambda run_file, run_id: answers.wait(60))
     write_stop(path, "one")
     with clearing_requests(path, "one"):
         pass
