@@ -16,11 +16,8 @@ In the order of the flow::
     importers.py     the importer of a file, also of other packages
     series.py        several files as one recording
     statements.py    settings from options, sidecar, file and scene, and the inferred ones
-    axes.py          array of the samples, names of its axes
-    lines.py         selected lines, or their mean
-    spectrum.py      echoes against the carrier; band-pass sampling
-    baseband.py      I and Q -> samples around the carrier
-    record_checks.py records with values that are not finite, or all equal
+    axes.py          array of the samples, names of its axes; selected lines, or their mean
+    carrier.py       echoes against the carrier; band-pass sampling; I and Q -> samples around the carrier
     motion.py        displacement and velocity instead of echoes
     recording.py     contents and settings -> samples (line, shot, pulse, sample)
 

@@ -17,28 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.arrays import BoolArray, FloatArray
-from hpe_rig.recordings.axes import select_array, with_axes
-from hpe_rig.recordings.baseband import to_radio_frequency
+from hpe_rig.recordings.axes import select_array, select_lines, with_axes
+from hpe_rig.recordings.carrier import compare_with_carrier, echo_band, to_radio_frequency, unfold
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.importers import BUILT_IN, read_contents
-from hpe_rig.recordings.lines import select_lines
 from hpe_rig.recordings.motion import NOMINAL_SPEED_M_PER_S, depth_rate_hz, kind_of, si_motion
-from hpe_rig.recordings.record_checks import (
-    MAX_LISTED,
-    MAX_VALUE,
-    MIN_SAMPLES,
-    are_constant,
-    are_finite,
-    list_records,
-    per_record,
-)
 from hpe_rig.recordings.series import read_series, series_name
 from hpe_rig.recordings.settings import DIMENSIONS, KEYS_OF_FORMAT, Dimension, RecordingSettings
-from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
 from hpe_rig.recordings.statements import Statements
 from hpe_rig.scene import Mistake, SettingsError, plural
 
-MIN_PULSES = 2
+MIN_PULSES, MIN_SAMPLES = 2, 8
+MAX_LISTED = 4
+"""Records that a message lists."""
+MAX_VALUE = 1e18
+"""Largest value of an echo in any unit; its square fits into single precision."""
 Source = Path | tuple[Path, ...] | NDArray[Any]
 """A file, files with one pulse or frame each, or an array."""
 
@@ -286,19 +279,16 @@ class _Reader:
         return demodulation_hz if is_iq else None
 
     def _find_recorded(self, values: NDArray[Any]) -> BoolArray:
-        """Return which records (line, shot, pulse) exist. A map marks its pixels itself: then all do."""
+        """Return which records (line, shot, pulse) exist; add a mistake for values that are not finite.
+
+        A map marks its pixels itself: then all do.
+        """
         if self.for_map:
             return np.ones(values.shape[:3], np.bool_)
-        recorded = self._find_finite(values)
-        self._check_constant(values, recorded)
-        return recorded
-
-    def _find_finite(self, values: NDArray[Any]) -> BoolArray:
-        """Return which records (line, shot, pulse) are finite; add a mistake for others unless they may be missing."""
-        recorded = per_record(values, are_finite)
+        recorded: BoolArray = np.array([[_are_finite(shot) for shot in line] for line in values], np.bool_)
         missing = int((~recorded).sum())
         if missing and self.settings.not_finite != "missing":
-            what = f"{missing} of {recorded.size} records hold values that are not finite: {list_records(~recorded)}"
+            what = f"{missing} of {recorded.size} records hold values that are not finite: {_list_records(~recorded)}"
             remedy = f'numbers of up to {MAX_VALUE:g}, or not_finite = "missing"'
             self.statements.add_mistake("", what, remedy)
         elif missing:
@@ -306,31 +296,6 @@ class _Reader:
             if not recorded.any():
                 self.statements.add_mistake("", "no record holds finite values alone", "another file")
         return recorded
-
-    def _check_constant(self, values: NDArray[Any], recorded: BoolArray) -> None:
-        """Add a mistake for constant records and lines, as from a channel that is not connected."""
-        constant: BoolArray = np.asarray(per_record(values, are_constant) & recorded)
-        if not constant.any():
-            return
-        # A line is dead if all of its records are constant; single dead records are reported separately.
-        dead_lines: BoolArray = np.asarray((constant | ~recorded).all(axis=(1, 2)))
-        if dead_lines.any():
-            numbers = ", ".join(str(int(line) + 1) for line in np.flatnonzero(dead_lines)[:MAX_LISTED])
-            what = f"{int(dead_lines.sum())} of {dead_lines.size} lines hold the same value everywhere: line {numbers}"
-            if self._are_unselected(dead_lines):
-                self.statements.inferred.append(f"{what}; none of these is selected")
-            else:
-                self.statements.add_mistake("lines", what, "other lines, or another array")
-        dead_records = constant & ~dead_lines[:, None, None]
-        if dead_records.any() and not self._are_unselected(np.asarray(dead_records.any(axis=(1, 2)))):
-            what = f"{int(dead_records.sum())} records hold one value throughout: {list_records(dead_records)}"
-            remedy = 'records with echoes; NaN in them and not_finite = "missing" leaves them out'
-            self.statements.add_mistake("", what, remedy)
-
-    def _are_unselected(self, lines: BoolArray) -> bool:
-        """Return whether none of the marked ``lines`` (line,) is selected."""
-        selection = select_lines(self.settings.lines, lines.size)
-        return not isinstance(selection, Mistake) and not lines[selection[0]].any()
 
     def _select_lines(
         self, values: NDArray[Any], recorded: BoolArray, position_m: FloatArray | None
@@ -404,3 +369,24 @@ class _Reader:
             f"I and Q are mixed up by {demodulation_hz:g} Hz and interpolated from {rate_hz:g} Hz to {output_hz:g} Hz"
         )
         return samples, output_hz
+
+
+def _are_finite(records: NDArray[Any]) -> BoolArray:
+    """Return which ``records`` (pulse, sample) hold finite values of up to ``MAX_VALUE`` alone."""
+    if records.dtype.kind in "iu":
+        return np.ones(len(records), np.bool_)
+    components = (records.real, records.imag) if records.dtype.kind == "c" else (records,)
+    # Maximum and minimum of a record with NaN are NaN, which no comparison accepts.
+    in_range = [
+        (component.max(axis=-1) <= MAX_VALUE) & (component.min(axis=-1) >= -MAX_VALUE) for component in components
+    ]
+    return np.asarray(np.logical_and.reduce(in_range))
+
+
+def _list_records(marked: BoolArray) -> str:
+    """Return the numbers, from 1, of the first of the ``marked`` records (line, shot, pulse)."""
+    indices = np.argwhere(marked)
+    numbers = [
+        f"line {line + 1} shot {shot + 1} pulse {pulse + 1}" for line, shot, pulse in indices[:MAX_LISTED].tolist()
+    ]
+    return ", ".join(numbers) + (f" and {len(indices) - MAX_LISTED} more" if len(indices) > MAX_LISTED else "")

@@ -2,8 +2,7 @@
 
 arguments.py        types of the arguments of public functions
 estimation.py       stored records -> estimates of every shot and of every gate over depth
-conditions.py       conditions of the shots of a run
-result_warnings.py  warnings of a result
+result_warnings.py  warnings of a result, conditions of its shots
 reprocessing.py     scene and plan at several values of the processing settings
 run.py              an open run file: ``open_run(path) -> Run``
 checked_scene.py    predictions for a scene before it is measured

@@ -29,9 +29,8 @@ from hpe_rig.plan import (
 from hpe_rig.result import Result, Stages
 from hpe_rig.runs.arguments import require_axes, require_numbers
 from hpe_rig.runs.checked_scene import plan_html
-from hpe_rig.runs.conditions import condition_summaries, condition_warnings, conditions_of_shot
 from hpe_rig.runs.estimation import chosen_estimator, estimate_profile, estimate_shots
-from hpe_rig.runs.result_warnings import run_warnings
+from hpe_rig.runs.result_warnings import condition_summaries, condition_warnings, conditions_of_shot, run_warnings
 from hpe_rig.scene import Axis, Estimator, Mistake, Processing, Scene, SettingsError, mistakes_of
 from hpe_rig.store import (
     StoredRecords,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.recordings.baseband import to_radio_frequency
+from hpe_rig.recordings.carrier import to_radio_frequency
 
 RATE_HZ, CARRIER_HZ, SAMPLES = 10e6, 5e6, 400
 

@@ -22,7 +22,7 @@ import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare_resumption
 from hpe_rig.recordings import as_source, matlab
-from hpe_rig.recordings.lines import select_lines
+from hpe_rig.recordings.axes import select_lines
 from hpe_rig.result import main_shot
 from hpe_rig.runs import import_recording
 from hpe_rig.scene import Mistake, SettingsError
@@ -389,6 +389,16 @@ def test_records_that_are_not_finite_may_count_as_missing(scene: Path) -> None:
     assert run.estimate().shots[0].pulses_missing == 3
 
 
+def test_records_without_echo_are_omitted_with_a_warning_or_leave_no_estimate(scene: Path) -> None:
+    run = hpe.import_records(_with(5, 0.25), scene, scene.parent / "pulse.h5", **GOOD)
+    (shot,) = run.estimate().shots
+    assert shot.pulses_used == PULSES - 1
+    assert any(text.startswith("1 of 40 pulses are omitted") for text in shot.warnings)
+    run = hpe.import_records(np.zeros((PULSES, SAMPLES)), scene, scene.parent / "zeros.h5", **GOOD)
+    with pytest.raises(StoreError, match="no echo: the gate is constant or zero"):
+        run.estimate()
+
+
 @pytest.mark.parametrize("text", ["", "0", "4", "3-1", "1-9", "x", "mean:7", "1,2", "-1", "1-"])
 def test_lines_that_do_not_exist_are_a_mistake(text: str) -> None:
     assert isinstance(select_lines(text, 3), Mistake)
@@ -437,8 +447,6 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "three pulses": ("a.npy", RF[0, :3], GOOD, "do not determine a vibration"),
     "nan": ("a.npy", _with((3, 7), np.nan), GOOD, "1 of 40 records hold values that are not finite"),
     "infinite": ("a.npy", _with(slice(None), np.inf), GOOD, "40 of 40 records"),
-    "constant": ("a.npy", np.ones((PULSES, SAMPLES)), GOOD, "hold the same value everywhere"),
-    "dead pulse": ("a.npy", _with(5, 0.25), GOOD, "1 records hold one value throughout: line 1 shot 1 pulse 6"),
     "no rate": ("a.npy", RF[0], _without("sample_rate_hz"), "sample_rate_hz: neither"),
     "no pulse rate": ("a.npy", RF[0], _without("pulse_rate_hz"), "pulse_rate_hz: neither"),
     "no carrier": ("a.npy", RF[0], _without("carrier_hz"), "carrier_hz: neither"),

@@ -1,6 +1,14 @@
-"""Comparison of the spectrum of the echoes with the stated carrier, and real samples below the Nyquist rate.
+"""Echoes and their carrier: their spectrum compared with the stated one, samples below the Nyquist rate, I and Q.
 
 Samples at the rate F_s hold a frequency f at f - m F_s, with an integer m: the spectrum alone does not determine m.
+
+I and Q become real samples around the carrier by interpolation, mixing up, and the real part:
+
+    r(t) = Re[ (I(t) + j Q(t)) exp(2 pi j f_d t) ],    f_d the demodulation frequency
+
+The phase of the mixer is unknown. It is constant, so it does not affect the estimated motion. Interpolation leaves
+images of the band at multiples of the sampling rate. Mixed up, one of them can lie at the negative carrier, and the
+real part adds it to the echoes. So the filter suppresses images by 100 dB.
 """
 
 from __future__ import annotations
@@ -12,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.arrays import ComplexArray, FloatArray, SingleArray
 
 MAX_RECORDS = 64
 """Records, evenly spaced, for the mean spectrum."""
@@ -33,6 +41,14 @@ CLEAN_WIDTHS = 2.0
 """Distance of a folded carrier from the ends of the spectrum that excludes overlap (-40 dB), in half widths."""
 MIN_DEVIATION = 0.1
 """Deviation of the centre from the carrier that attenuation may cause, relative to the carrier."""
+MIN_SAMPLES_PER_PERIOD = 4.0
+"""Samples per period of the highest frequency in the band, after interpolation."""
+BAND_END = 1.5
+"""Upper end of the band that the estimators use, in units of the carrier."""
+FILTER_SAMPLES = 32
+"""Half the length of the interpolation filter in input samples: its band ends at 0.45 of their rate."""
+IMAGE_DB = 100.0
+"""Suppression of the images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,3 +137,25 @@ def unfold(values: NDArray[Any], rate_hz: float, carrier_hz: float) -> tuple[Com
     analytic = np.asarray(hilbert(values, axis=-1))
     # Below a multiple of the rate the folded spectrum is reversed.
     return (analytic.conj() if offset_hz < 0 else analytic), demodulation_hz, sentence
+
+
+def to_radio_frequency(
+    values: NDArray[np.complexfloating[Any, Any]], rate_hz: float, demodulation_hz: float, carrier_hz: float
+) -> tuple[SingleArray, float]:
+    """Return real samples (..., sample) of complex ``values`` (..., sample), and their rate.
+
+    The rate is the smallest integer multiple of ``rate_hz`` that samples the band twice as fast as needed.
+    """
+    from scipy.signal import firwin, kaiser_beta, resample_poly
+
+    # The band of the carrier and that of I and Q around the demodulation frequency must both fit.
+    highest_hz = max(BAND_END * carrier_hz, demodulation_hz + rate_hz / 2)
+    factor = max(1, math.ceil(MIN_SAMPLES_PER_PERIOD * highest_hz / rate_hz / 2))
+    interpolated = values
+    if factor > 1:
+        taps: Any = firwin(2 * FILTER_SAMPLES * factor + 1, 1 / factor, window=("kaiser", kaiser_beta(IMAGE_DB)))
+        interpolated = resample_poly(values, factor, 1, axis=-1, window=taps)
+    output_hz = rate_hz * factor
+    # Mix up: multiply by exp(2 pi j f_d t).
+    carrier = np.exp(2j * np.pi * demodulation_hz / output_hz * np.arange(interpolated.shape[-1]))
+    return np.asarray((interpolated * carrier).real, np.float32), output_hz
