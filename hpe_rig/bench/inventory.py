@@ -120,7 +120,9 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
             reports = tuple(_with_self_test(report, instruments[report.role]) for report in reports)
     serials = {report.role: report.identity.serial for report in reports if report.identity is not None}
     mistakes = shared_serials(serials) | serial_problems(bench, serials)
-    reports = tuple(_with_problem(report, mistakes.get(report.role)) for report in reports)
+    reports = tuple(
+        replace(report, problems=(*report.problems, *filter(None, [mistakes.get(report.role)]))) for report in reports
+    )
     return BenchReport(bench.title, bench.simulated, reports, addresses)
 
 
@@ -145,10 +147,6 @@ def _report(
     if settings.get("output_on"):
         problems.append("its output was on; it is off now. Try: find the program that left it on")
     return InstrumentReport(role, address, identity, latency_s, settings, problems=tuple(problems))
-
-
-def _with_problem(report: InstrumentReport, problem: str | None) -> InstrumentReport:
-    return report if problem is None else replace(report, problems=(*report.problems, problem))
 
 
 def _with_suggestions(report: InstrumentReport, bench: BenchFile, addresses: Sequence[str]) -> InstrumentReport:

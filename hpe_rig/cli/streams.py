@@ -53,7 +53,9 @@ def queue_streams() -> Streams:
         for target, thread, notice in zip(targets, threads, (None, _dropped_text), strict=True)
     )
     if output is not None:
-        sys.stdout = queued_text(output[0], sys.stdout.encoding, _line_buffering(sys.stdout))
+        # With python -u everything is written through; by lines it is as prompt.
+        by_lines = bool(sys.stdout.line_buffering or getattr(sys.stdout, "write_through", False))
+        sys.stdout = queued_text(output[0], sys.stdout.encoding, by_lines)
     if errors is not None:
         sys.stderr = queued_text(errors[0], sys.stderr.encoding)
     return Streams(output, errors, replaced)
@@ -107,11 +109,6 @@ def _raw_file(stream: Any) -> Any:
     return raw if isinstance(raw, io.RawIOBase) else None
 
 
-def _line_buffering(stream: Any) -> bool:
-    # With python -u everything is written through; by lines it is as prompt.
-    return bool(stream.line_buffering or stream.write_through)
-
-
 def _note_signals() -> list[int]:
     """Return a list that gets the number of each signal that would end the program; none ends it any more."""
     arrived: list[int] = []
@@ -142,4 +139,4 @@ def _dropped_text(lines: int) -> str:
 
 def _missing_results_text(failure: OSError) -> str:
     what = f"results are missing: standard output cannot be written ({failure.strerror or failure})"
-    return f"hpe-rig: {what}. Try: another file or disk; hpe-rig process RUN.h5 prints the result of a run file again."
+    return f"hpe-rig: {what}. Try: another output, such as a file on another disk; run files are not affected."

@@ -243,13 +243,10 @@ def _print_profile(result: Result, printer: Printer) -> None:
         )
         for _, shot_gates in groupby(gates_by_shot, key=lambda gate: (gate.shot.index, gate.shot.window_length_s)):
             profile = list(shot_gates)
-            printer.text(f"\n{_profile_title(profile)}", bold=True)
+            hz = lead_frequency_hz([gate.shot for gate in profile])
+            words = [f"OVER DEPTH at {hz:g} Hz, shot {profile[0].shot.shot}", *setting_texts(profile[0].shot)]
+            printer.text(f"\n{', '.join(words)}", bold=True)
             printer.table(_profile_table(profile))
-
-
-def _profile_title(gates: Sequence[GateResult]) -> str:
-    hz = lead_frequency_hz([gate.shot for gate in gates])
-    return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot}", *setting_texts(gates[0].shot)])
 
 
 def _profile_table(gates: Sequence[GateResult]) -> Table:

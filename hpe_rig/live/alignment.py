@@ -13,11 +13,11 @@ from typing import final
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.bench import Bench, open_bench
+from hpe_rig.bench import open_bench
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.state import State, band_verdict, image_state, level_state, rf_state
 from hpe_rig.measurement import Setup, ShotBlock, acquire
-from hpe_rig.plan import Plan, Shot, check_plan, make_plan, refuse_conflicts
+from hpe_rig.plan import Shot, check_plan, make_plan, refuse_conflicts
 from hpe_rig.report import EchoView, echo_view
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import ShotRecords, StoreError, assemble
@@ -159,7 +159,9 @@ def align(setup: Setup, port: int, announce: Callable[[str], None], band: str = 
         with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
             while not source.stopped:
                 start_s = time.monotonic()
-                source.put(_single_shot(setup.plan, bench))
+                with contextlib.closing(acquire(setup.plan, bench)) as events:
+                    blocks = [event.block for event in events if isinstance(event, ShotBlock)]
+                source.put(assemble(blocks, setup.plan.shots[0]))
                 shots += 1
                 time.sleep(max(0.0, SHOT_PERIOD_S - (time.monotonic() - start_s)))
         status = "aborted"
@@ -171,9 +173,3 @@ def align(setup: Setup, port: int, announce: Callable[[str], None], band: str = 
         page.close(grace_s=1.0)
         server.join(5.0)
     return shots
-
-
-def _single_shot(plan: Plan, bench: Bench) -> ShotRecords:
-    with contextlib.closing(acquire(plan, bench)) as events:
-        blocks = [event.block for event in events if isinstance(event, ShotBlock)]
-    return assemble(blocks, plan.shots[0])

@@ -113,8 +113,11 @@ def prepare_text(
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check, stored is not None)
         scene = replace(scene, scene=_completed(scene.scene, bench.bench, None if stored is None else stored.parent))
-        if check and (mistakes := _twin_mistakes(scene.scene)):
-            raise SettingsError(f"scene {name}", mistakes)
+        if check:
+            # At any point of a sweep the scene's beams and sound speed may contradict its [simulation].
+            mistakes = [mistake for point in scene.scene.points for mistake in check_declared(point.scene)]
+            if mistakes:
+                raise SettingsError(f"scene {name}", list(dict.fromkeys(mistakes)))
         plan, findings = plan_and_check(scene.scene, bench.bench, date.today())
         findings = (*likely_causes(scene.scene, findings), *findings)
         if refuse:
@@ -154,14 +157,6 @@ def with_scan_in_folder(scene: Scene, folder: Path) -> Scene:
     if not scan.is_file():
         return scene
     return scene.model_copy(update={"beams": beams.model_copy(update={"excitation_scan": str(scan)})})
-
-
-def _twin_mistakes(scene: Scene) -> list[Mistake]:
-    """Return the mistakes in the settings of the twin at any point of a sweep, each once.
-
-    The scene's beams and sound speed may contradict its [simulation].
-    """
-    return list(dict.fromkeys(mistake for point in scene.points for mistake in check_declared(point.scene)))
 
 
 def _day_of(stored: StoredRun) -> date | None:

@@ -174,18 +174,17 @@ def _plan_of_points(scene: Scene, bench: BenchFile) -> Plan:
         if count > MAX_SHOTS:
             what = f"its points have more than {MAX_SHOTS} shots, which is the most that a run holds"
             raise SettingsError("the sweep", [Mistake("sweep", what, "fewer values, or several runs")])
-    shapes = {_record_shape(plan.shots[0].capture) for plan in plans}
+    captures = (plan.shots[0].capture for plan in plans)
+    shapes = {
+        (item.record_count, item.record_samples, item.sample_rate_hz, item.input_range_v, item.monitor_range_v or 0.0)
+        for item in captures
+    }
     if len(shapes) > 1:
         listed = "; ".join(sorted(f"{count} of {samples} samples" for count, samples, *_ in shapes))
         what = f"its points differ in the records of a shot ({listed}, or rate or range), and a run file has one kind"
         remedy = "equal tracking.pulse_count and keys of [acquisition] at all points, or a run each: hpe-rig queue"
         raise SettingsError("the sweep", [Mistake("sweep", what, remedy)])
     return _joined(plans)
-
-
-def _record_shape(capture: Capture) -> tuple[float, ...]:
-    monitor_v = capture.monitor_range_v or 0.0
-    return capture.record_count, capture.record_samples, capture.sample_rate_hz, capture.input_range_v, monitor_v
 
 
 def _joined(plans: Sequence[Plan]) -> Plan:
@@ -327,19 +326,11 @@ def _toneburst(scene: Scene, bench: BenchFile, length_s: float | None, force: fl
     return Toneburst(excitation.carrier_hz, cycles, amplitude_vpp, 0.0, generator.load_ohm)
 
 
-def _gate_offset_s(scene: Scene) -> tuple[float, float]:
-    return _offset_s(scene, scene.gate_depth_m, scene.acquisition.gate_length_m)
-
-
-def _reference_offset_s(scene: Scene) -> tuple[float, float] | None:
-    depth_m, length_m = scene.processing.reference_gate_depth_m, scene.processing.reference_gate_length_m
-    return None if depth_m is None else _offset_s(scene, depth_m, length_m or scene.acquisition.gate_length_m)
-
-
-def _offset_s(scene: Scene, depth_m: float, length_m: float) -> tuple[float, float]:
-    """Return start and end of a gate's echoes after the onset of their pulse."""
+def _offset_s(scene: Scene, depth_m: float, length_m: float | None = None) -> tuple[float, float]:
+    """Return start and end of a gate's echoes after the onset of their pulse; default: of the scene's gate length."""
     # Echo time 2 z / c at depth z.
-    half_s, centre_s = (metres / scene.acquisition.sound_speed_m_per_s for metres in (length_m, 2 * depth_m))
+    lengths_m = length_m or scene.acquisition.gate_length_m, 2 * depth_m
+    half_s, centre_s = (metres / scene.acquisition.sound_speed_m_per_s for metres in lengths_m)
     return centre_s - half_s, centre_s + half_s
 
 
@@ -363,7 +354,7 @@ def _trigger_delay_samples(scene: Scene, bench: BenchFile) -> int:
     if board.aux_waits_for_trigger_delay or bench.recording is not None:
         return 0
     trigger_s, onset_s = tracking_path_s(bench)
-    centre_s = sum(_gate_offset_s(scene)) / 2 + onset_s - trigger_s - board.latency_s
+    centre_s = sum(_offset_s(scene, scene.gate_depth_m)) / 2 + onset_s - trigger_s - board.latency_s
     delay = max(0, math.floor(centre_s * acquisition.sample_rate_hz - acquisition.record_samples / 2))
     # Rounded down to the board's steps: the gate then is a little later in the record.
     return delay - delay % board.board_model.trigger_delay_multiple
@@ -385,13 +376,14 @@ def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capt
     start_s = start_s if bench.recording is None else bench.recording.first_sample_s
     bursts = np.arange(excitation.burst_count if excitation else 0, dtype=np.float64)
     burst_rate_hz = excitation.burst_rate_hz if excitation else 1.0
+    reference_m, reference_length_m = scene.processing.reference_gate_depth_m, scene.processing.reference_gate_length_m
     return Timeline(
         burst_onset_s=burst_path_s(bench) + bursts / burst_rate_hz,
         burst_length_s=burst_length_s or 0.0,
         pulse_onset_s=onset_s + tracking.delay_s + np.arange(capture.record_count) / tracking.pulse_rate_hz,
         pulse_length_s=tracking.cycles / tracking.carrier_hz,
-        gate_offset_s=_gate_offset_s(scene),
-        reference_offset_s=_reference_offset_s(scene),
+        gate_offset_s=_offset_s(scene, scene.gate_depth_m),
+        reference_offset_s=None if reference_m is None else _offset_s(scene, reference_m, reference_length_m),
         record_offset_s=(start_s, start_s + capture.record_samples / capture.sample_rate_hz),
         push_delay_s=0.0 if scene.beams is None else scene.beams.push_farther_m / scene.acquisition.sound_speed_m_per_s,
     )

@@ -79,15 +79,12 @@ def _drawing(shot: Shot, width: int) -> Iterator[str]:
     yield row("gate", "=", after(pulses, *line.gate_offset_s))
 
 
-def _shots_text(plan: Plan) -> str:
-    controls = sum(shot.is_control for shot in plan.shots)
-    return f"{len(plan.shots)}" + (f", {controls} of them controls with tonebursts off" if controls else "")
-
-
 def _table(plan: Plan, shot: Shot, is_refused: bool) -> Iterator[str]:
     """Yield the values of the plan by name; ``is_refused``: disturbed pulses are not allowed."""
     train, capture, burst_train = shot.tracking_train, shot.capture, shot.burst_train
-    rows: list[tuple[str, str]] = [("instruments", ", ".join(plan.roles)), ("shots", _shots_text(plan))]
+    controls = sum(item.is_control for item in plan.shots)
+    shots = f"{len(plan.shots)}" + (f", {controls} of them controls with tonebursts off" if controls else "")
+    rows: list[tuple[str, str]] = [("instruments", ", ".join(plan.roles)), ("shots", shots)]
     if burst_train is not None:
         lengths = sorted({item.timeline.burst_length_s for item in plan.shots})
         burst = f"{burst_train.count} at {burst_train.rate_hz:g} Hz, "

@@ -33,7 +33,8 @@ def select_array(statements: Statements) -> tuple[str, NDArray[Any] | None]:
     arrays = {name: array for name, array in statements.contents.arrays.items() if array.size}
     if variable is None:
         # Vectors are samples only if there is nothing else: most are times or positions.
-        arrays = {name: array for name, array in arrays.items() if _is_table(array)} or arrays
+        tables = {name: array for name, array in arrays.items() if array.ndim > 1 and array.size > max(array.shape)}
+        arrays = tables or arrays
     if variable is not None:
         by_name = {name.strip("/"): array for name, array in arrays.items()}
         if variable.strip("/") in by_name:
@@ -197,11 +198,6 @@ def _known_lengths(statements: Statements) -> dict[str, float | None]:
         "sample": samples if in_file is None else in_file[0],
         "line": None if positions is None else len(positions[0]),
     }
-
-
-def _is_table(array: NDArray[Any]) -> bool:
-    """Return whether more than one axis of ``array`` is longer than 1."""
-    return array.ndim > 1 and array.size > max(array.shape)
 
 
 def select_lines(text: str | None, count: int) -> tuple[slice, bool] | Mistake:

@@ -118,9 +118,8 @@ def _write_matlab(file: Any, echoes: Echoes) -> Int64Array:
 def _write_zea(file: h5py.File, echoes: Echoes) -> Int64Array:
     """Write the groups that zea requires: volts (frame, transmit, sample, element, component), scan and probe."""
     shots, pulses, samples = echoes.shape
-    file.attrs.update(
-        {"zea_version": ZEA_VERSION, "description": echoes.title, "us_machine": f"hpe_rig, {_origin(echoes)}"}
-    )
+    origin = "simulated" if echoes.labels["simulated"].value else "measured"
+    file.attrs.update({"zea_version": ZEA_VERSION, "description": echoes.title, "us_machine": f"hpe_rig, {origin}"})
     data = file.create_dataset("tracks/track_0/data/raw_data", (shots, pulses, samples, 1, 1), "f4", chunks=True)
     missing = np.zeros(shots, np.int64)
     for shot in range(shots):
@@ -207,7 +206,3 @@ def _uff_attributes(name: str, kind: str) -> dict[str, Any]:
         "complex": np.array([0.0]),
         "imaginary": np.array([0.0]),
     }
-
-
-def _origin(echoes: Echoes) -> str:
-    return "simulated" if echoes.labels["simulated"].value else "measured"

@@ -60,9 +60,14 @@ def sweep(
     >>> run.estimate().to_frame()[["tracking.delay_s", "simulation.receiver.snr_db", "amplitude_m"]]
     """
     require_axes(axes)
-    values = {str(key): _as_list(numbers) for key, numbers in axes.items()}
+    # Other types than arrays and numbers stay: the scene reports them.
+    values = {
+        str(key): np.atleast_1d(numbers).tolist() if isinstance(numbers, np.ndarray | int | float) else numbers
+        for key, numbers in axes.items()
+    }
     settings = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
-    return measure(_scene(scene).with_(settings), bench, path)
+    unswept = scene if isinstance(scene, Scene) else parse_scene(*source_text(scene)).scene
+    return measure(unswept.with_(settings), bench, path)
 
 
 @contextmanager
@@ -292,13 +297,3 @@ def _real(array: ArrayLike, name: str, axes: Sequence[str]) -> Samples:
     if not values.size:
         raise ValueError(f"{name} has shape {values.shape}: it holds no {'echo' if name == 'rf' else name}")
     return values
-
-
-def _as_list(values: Any) -> Any:
-    """Return an array or a number as a list. Other types are returned unchanged: the scene reports them."""
-    return np.atleast_1d(values).tolist() if isinstance(values, np.ndarray | int | float) else values
-
-
-def _scene(source: SceneSource) -> Scene:
-    """Return the scene of a name, of the path of a scene or run file, or ``source`` itself."""
-    return source if isinstance(source, Scene) else parse_scene(*source_text(source)).scene

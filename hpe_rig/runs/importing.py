@@ -154,7 +154,8 @@ def _scene_values(tables: Mapping[str, Any], recording: Recording, range_v: floa
         "acquisition.sample_rate_hz": recording.sample_rate_hz,
         "acquisition.record_samples": samples,
         "acquisition.input_range_v": range_v,
-        "acquisition.repeats": max(1, shots // _setting_count(tables)),
+        # As many shots as there are forces times burst lengths are no repeats.
+        "acquisition.repeats": max(1, shots // math.prod(map(len, _lists(tables).values()))),
     }
     # Values that the recording does not state are those of the scene.
     if recording.sound_speed_m_per_s is not None:
@@ -184,11 +185,6 @@ def _lists(tables: Mapping[str, Any]) -> dict[str, list[Any]]:
         return {}
     lists = {key: excitation.get(key) for key in ("burst_length_s", "force_fraction")}
     return {key: values for key, values in lists.items() if isinstance(values, list) and values}
-
-
-def _setting_count(tables: Mapping[str, Any]) -> int:
-    """Return the number of forces times that of burst lengths in the scene: as many shots are no repeats."""
-    return math.prod(len(values) for values in _lists(tables).values())
 
 
 def _settings_in_turn(tables: Mapping[str, Any]) -> Iterator[str]:

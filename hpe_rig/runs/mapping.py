@@ -113,7 +113,10 @@ def map_recording(
             settings_of_map = _map_settings(recorded_scene, recording)
             motion_map = map_pixels(*series, settings_of_map, recording.line_position_m, progress)
         else:
-            _refuse_estimator(recorded_scene, recording.quantity, name)
+            if "estimator" in recorded_scene.processing.model_fields_set:
+                estimator = recorded_scene.processing.estimator
+                what = f"{estimator!r} estimates motion from echoes, and the recording holds a {recording.quantity}"
+                raise SettingsError(f"scene {name}", [Mistake("processing.estimator", what, "a scene without it")])
             stated = recorded_scene.processing.frequency_accuracy
             motion_map = map_stated_motion(
                 *series,
@@ -127,13 +130,6 @@ def map_recording(
         mistake = Mistake("", what or str(error), remedy if what else "other settings")
         raise SettingsError(f"recording {recording.name}", [mistake]) from error
     return replace(motion_map, origin=f"IMPORTED from {recording.name}, SHA-256 {recording.sha256}"), recording.inferred
-
-
-def _refuse_estimator(scene: Scene, quantity: str, name: str) -> None:
-    """Raise ``SettingsError`` if the ``scene`` states an estimator, which a recorded motion does not need."""
-    if "estimator" in scene.processing.model_fields_set:
-        what = f"{scene.processing.estimator!r} estimates motion from echoes, and the recording holds a {quantity}"
-        raise SettingsError(f"scene {name}", [Mistake("processing.estimator", what, "a scene without it")])
 
 
 def _as_recorded(name: str, text: str, recording: Recording) -> Scene:

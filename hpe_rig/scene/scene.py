@@ -277,7 +277,11 @@ def _points(tables_json: str, specimen: str | None) -> tuple[ScenePoint, ...]:
         scene_values = {path_of(name): value for name, value in values.items() if not name.startswith(BENCH_PREFIX)}
         bench = {path_of(name)[1:]: value for name, value in values.items() if name.startswith(BENCH_PREFIX)}
         try:
-            point_scene = _stored_scene(with_values(tables, scene_values))
+            # The rules on which settings go together were checked on the whole scene.
+            point_tables = with_values(tables, scene_values)
+            if point_mistakes := scene_mistakes(point_tables, stored=True):
+                raise SettingsError("the sweep", point_mistakes)
+            point_scene = Scene.model_validate(point_tables, context=STORED)
             point_scene._default_specimen = specimen
             points.append(ScenePoint(point_scene, values, bench))
         except SettingsError as error:
@@ -287,13 +291,6 @@ def _points(tables_json: str, specimen: str | None) -> tuple[ScenePoint, ...]:
     if mistakes:
         raise SettingsError("the sweep", list(mistakes.values()))
     return tuple(_with_equal_pulse_counts(points))
-
-
-def _stored_scene(tables: dict[str, Any]) -> Scene:
-    """Return the scene of one point; the rules on which settings go together were checked on the whole scene."""
-    if mistakes := scene_mistakes(tables, stored=True):
-        raise SettingsError("the sweep", mistakes)
-    return Scene.model_validate(tables, context=STORED)
 
 
 def _resolved_axes(scene: Scene) -> list[Axis]:

@@ -173,7 +173,7 @@ def test_names_of_models_are_suggested() -> None:
             parse_bench("bench", edited((old, new)))
     with pytest.raises(SettingsError) as caught:
         parse_bench("bench", edited(('model = "ATS460"', f'model = "{"x" * 200}"')))
-    assert f"'{'x' * 80}' is not one" in str(caught.value)
+    assert f"'{'x' * 79}... is not one" in str(caught.value)
     assert "did you mean" not in str(caught.value)
 
 
