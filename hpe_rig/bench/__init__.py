@@ -16,8 +16,7 @@ In the order of the flow:
     identity        serial numbers and labels, compared with those of the bench file
     lines           lines to all instruments, used at the same time
     opening         drivers connected to VISA and the vendor's library, or to the twin
-    identification  roles on the displays of the generators, serial numbers into the bench file
-    inventory       every instrument identified, its settings read
+    inventory       every instrument identified, its settings read; roles on displays, serial numbers written
     comparison      differences between two benches
     emulation       the simulated generators for any VISA program
 

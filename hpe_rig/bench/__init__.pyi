@@ -23,11 +23,6 @@ from .comparison import (
 )
 from .conditions import Reading as Reading, read_conditions as read_conditions
 from .emulation import emulate as emulate, is_bench_file as is_bench_file
-from .identification import (
-    displayed_roles as displayed_roles,
-    lasting_serial as lasting_serial,
-    with_serials as with_serials,
-)
 from .instruments import (
     WITHOUT_OUTPUT as WITHOUT_OUTPUT,
     Bench as Bench,
@@ -46,8 +41,11 @@ from .inventory import (
     InstrumentReport as InstrumentReport,
     OffState as OffState,
     Settings as Settings,
+    displayed_roles as displayed_roles,
+    lasting_serial as lasting_serial,
     survey as survey,
     switch_off as switch_off,
+    with_serials as with_serials,
 )
 from .lock import BenchInUseError as BenchInUseError, hold as hold, resources as resources
 from .opening import open_bench as open_bench, silent_world as silent_world

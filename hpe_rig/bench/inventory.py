@@ -1,19 +1,27 @@
-"""Inventory of a bench: every instrument identified and its settings read; nothing is programmed, outputs end off."""
+"""Inventory of a bench: every instrument identified and its settings read; nothing is programmed, outputs end off.
+
+Also the identification by a person: each role on the display of the instrument at its address.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
+import secrets
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
 from hpe_rig.bench.bench_file import BenchFile, DigitizerBoard
+from hpe_rig.bench.bench_loading import parse_bench
 from hpe_rig.bench.identity import reported_serials, serial_problems, shared_serials
 from hpe_rig.bench.instruments import DigitizerNotIdleError, UnsafeBenchError, make_safe
+from hpe_rig.bench.interrupts import uninterrupted
 from hpe_rig.bench.lock import holder_of, resources
 from hpe_rig.bench.opening import open_each, visa_addresses
 
@@ -211,3 +219,50 @@ def _digitizer_problems(board: DigitizerBoard, settings: Settings) -> Iterator[s
     version = str(settings.get("firmware", "")).removeprefix("FPGA ").partition(",")[0]
     if version.isdecimal() and board.max_records > (limit := board.board_model.record_limit(int(version))):
         yield f"FPGA version {version} holds {limit} single-port records. Try: digitizer.max_records = {limit}"
+
+
+@contextmanager
+def displayed_roles(bench: BenchFile) -> Iterator[Mapping[str, Instrument | Exception]]:
+    """Yield every instrument by role, or its error, with outputs off and each generator's role on its display.
+
+    The displays are cleared at the end, also after an interrupt.
+    """
+    with open_each(bench) as instruments:
+        make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
+        generators: dict[str, Any] = {
+            role: item for role, item in instruments.items() if role != "digitizer" and not isinstance(item, Exception)
+        }
+        try:
+            for role, generator in generators.items():
+                generator.display(role.replace("_", " ").upper())
+            yield instruments
+        finally:
+            with uninterrupted():
+                for generator in generators.values():
+                    with suppress(InstrumentError):
+                        generator.display("")
+
+
+def lasting_serial(instrument: Any) -> str:
+    """Return the serial number of ``instrument``, or its label; a generator without either is given a new label."""
+    serial = str(instrument.serial_number())
+    if not serial:
+        serial = f"HPE_{secrets.token_hex(3).upper()}"
+        instrument.store_label(serial)
+    return serial
+
+
+def with_serials(path: Path, serials: Mapping[str, str]) -> str:
+    """Return the text of the bench file ``path`` with ``serials`` by role; comments and layout stay.
+
+    Raises ``SettingsError`` if that is no bench file, such as one with the same number for two roles.
+    """
+    # Loads the editor of TOML files, which switching off does not need.
+    from hpe_rig.scene import edited_text
+
+    # Line ends stay as they are, so the text is not read with universal newlines.
+    text = path.read_bytes().decode("utf-8-sig")
+    sections = {role: ("digitizer",) if role == "digitizer" else ("generators", role) for role in serials}
+    edited = edited_text(text, {(*sections[role], "serial"): serial for role, serial in serials.items()})
+    parse_bench(path.stem, edited)
+    return edited

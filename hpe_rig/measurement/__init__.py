@@ -1,12 +1,11 @@
 """Measurement: a scene becomes a run file.
 
     setup.py          scene and bench file -> plan and the findings of its checks
-    run.py            setup -> run file with the records of every shot
+    run.py            setup -> run file with the records of every shot; ends if the first is at full scale
     between_shots.py  movement of the tracking transducer, wait until conditions are within limits
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     background.py     storage and observers in separate threads while outputs are on
     awake.py          the computer does not sleep during a run
-    full_scale.py     end of a run if its first shot is at full scale throughout
     recording.py      events of the sequencer -> run file
     requests.py       a safe stop, or a pause between two shots, requested by another process
     resumption.py     a stopped run continued with its missing shots

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from drivers.interfaces import InstrumentError, RecordBlock
 from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uninterrupted
 from hpe_rig.measurement.awake import kept_awake
 from hpe_rig.measurement.background import detached
 from hpe_rig.measurement.between_shots import Mover, choose_mover, require_mover
-from hpe_rig.measurement.full_scale import end_at_full_scale
 from hpe_rig.measurement.recording import RunRecorder
 from hpe_rig.measurement.sequencer import (
     DRIVING_STEPS,
+    Event,
     Observer,
     Progress,
+    ShotBlock,
     ShotDone,
     Step,
     acquire,
     ignore_progress,
 )
 from hpe_rig.measurement.setup import Setup, as_path
-from hpe_rig.plan import Plan, refuse_conflicts
+from hpe_rig.plan import Plan, Shot, refuse_conflicts
 from hpe_rig.result import Stages
 from hpe_rig.store import RunWriter, StoredRun, WriteOptions, check_replaceable, free_path
 
@@ -137,3 +141,40 @@ def _checking_file(observer: Observer, recorder: RunRecorder) -> Observer:
         recorder.check_file_present(wait=progress.step not in DRIVING_STEPS)
 
     return observe
+
+
+def end_at_full_scale(events: Generator[Event, None, None]) -> Generator[Event, None, None]:
+    """Yield ``events``; raise ``InstrumentError`` if every record of the first shot reaches full scale in its gate.
+
+    It is raised instead of the first ``ShotDone``, when outputs are off: the records are kept, and the shot counts as
+    not measured.
+    """
+    is_first, records, all_at_full_scale = True, 0, True
+    with closing(events):
+        for event in events:
+            if is_first and isinstance(event, ShotBlock) and all_at_full_scale:
+                records += event.block.codes.shape[0]
+                all_at_full_scale = _every_record_at_full_scale(event.shot, event.block)
+            elif is_first and isinstance(event, ShotDone):
+                if records and all_at_full_scale:
+                    raise _too_large(event.shot, records)
+                is_first = False
+            yield event
+
+
+def _every_record_at_full_scale(shot: Shot, block: RecordBlock) -> bool:
+    """Return whether each record of ``block`` has a sample at full scale in the gate."""
+    lowest, highest = block.code_limits
+    # The rest of a record may hold the tracking pulse itself, which may saturate the input.
+    gate = block.codes[:, shot.gate]
+    return bool(np.all((gate.min(axis=1) <= lowest) | (gate.max(axis=1) >= highest)))
+
+
+def _too_large(shot: Shot, records: int) -> InstrumentError:
+    range_v = shot.capture.input_range_v
+    return InstrumentError(
+        "digitizer",
+        f"all {records} records of shot {shot.index + 1} reach full scale (+-{range_v:g} V) in the gate",
+        "the echo is larger than the range, a toneburst reaches the receiver, or generators are exchanged",
+        "hpe-rig align, a larger acquisition.input_range_v or less gain, hpe-rig bench; then hpe-rig resume",
+    )

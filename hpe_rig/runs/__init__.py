@@ -6,8 +6,7 @@ result_warnings.py  warnings of a result, conditions of its shots
 reprocessing.py     scene and plan at several values of the processing settings
 run.py              an open run file: ``open_run(path) -> Run``
 checked_scene.py    predictions for a scene before it is measured
-codes.py            integers of a recording as codes
-echoes.py           gated echoes of any program as records in memory, estimated like those of a stored run
+echoes.py           gated echoes of any program as records in memory, estimated like those of a stored run; codes
 importing.py        a recording of another program -> run file
 exporting.py        a run -> file of zea, USTB or MATLAB
 mapping.py          a recording of many lines -> map of its motion

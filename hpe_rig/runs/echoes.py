@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import Capture, PulseTrain, Toneburst, TriggerPulse
+from hpe_rig.arrays import Int16Array
 from hpe_rig.plan import Shot, Timeline
 from hpe_rig.result import ShotResult
-from hpe_rig.runs.codes import FULL_SCALE_CODES, UNSTATED_SCALE_V, are_codes, signed_codes
 from hpe_rig.scene import Acquisition, Estimator, Processing, Scene, Tracking
 from hpe_rig.store import MISSING, ShotRecords
 
@@ -26,6 +26,12 @@ if TYPE_CHECKING:
 STEPS = 1 << 22
 """Steps from zero to the largest value of samples that are no codes."""
 MAX_FREQUENCY_ACCURACY = 0.01
+MAX_CODE = 32766
+"""Code of the largest value: one below full scale, which counts as clipped."""
+FULL_SCALE_CODES = MAX_CODE + 1
+"""Code that counts as clipped, as its negative does; the lowest code of 16 bits marks missing records."""
+UNSTATED_SCALE_V = 2.0 / (2 * FULL_SCALE_CODES + 1)
+"""Volts of one code if they are not stated: full scale, half a code above the highest code, is 1 V."""
 Samples = NDArray[np.integer[Any] | np.floating[Any]]
 
 
@@ -152,3 +158,18 @@ def _shot(index: int, settings: EchoSettings, pulses: int, samples: int) -> Shot
             record_offset_s=(-gate_end_s - before_s, gate_end_s + after_s),
         ),
     )
+
+
+def are_codes(values: NDArray[Any]) -> bool:
+    """Return whether ``values`` are integers of up to 16 bits, which are kept as they are."""
+    return values.dtype.kind in "iu" and values.dtype.itemsize <= 2
+
+
+def zero_code(values: NDArray[Any]) -> int:
+    """Return the integer that is zero volts: 0, or the middle of the range of integers without sign."""
+    return 0 if values.dtype.kind == "i" else 1 << (8 * values.dtype.itemsize - 1)
+
+
+def signed_codes(values: NDArray[Any]) -> Int16Array:
+    """Return integers of up to 16 bits as codes around zero; the lowest code is replaced by the next higher one."""
+    return np.maximum(values.astype(np.int32) - zero_code(values), -FULL_SCALE_CODES).astype(np.int16)

@@ -25,7 +25,7 @@ from hpe_rig.bench import parse_bench
 from hpe_rig.measurement import plan_and_check
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.recordings import Recording, Source, as_source, read_recording, read_settings
-from hpe_rig.runs.codes import FULL_SCALE_CODES, MAX_CODE, UNSTATED_SCALE_V, are_codes, signed_codes, zero_code
+from hpe_rig.runs.echoes import FULL_SCALE_CODES, MAX_CODE, UNSTATED_SCALE_V, are_codes, signed_codes, zero_code
 from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import (
     KeyPath,

@@ -3,8 +3,7 @@
     check_result      one result, and the error that refuses a plan
     simulation        settings of the twin against those of scene and bench
     tracking          whether the twin's echoes and motion can be tracked
-    excitation        tonebursts against the bench's limits, and against pulses and gates
-    output            tasks against the limits of the generators and transducers
+    excitation        tonebursts against limits, pulses and gates; tasks of the generators; drive of the transducers
     identity          generators of a real bench known by serial number, its cables proven
     acoustic_output   estimated output at the focus against its limits
     timing            periods, record and depth; accuracies of the clocks

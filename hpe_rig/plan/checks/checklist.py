@@ -11,9 +11,8 @@ from hpe_rig.plan.checks.acoustic_output import acoustic_output
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.depth_gates import gates_over_depth
 from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory, trigger_times
-from hpe_rig.plan.checks.excitation import excitation, interference
+from hpe_rig.plan.checks.excitation import drive, excitation, generators, interference, transducer_limits
 from hpe_rig.plan.checks.identity import commissioned, identity
-from hpe_rig.plan.checks.output import drive, generators, transducer_limits
 from hpe_rig.plan.checks.sampling import driven_harmonics, fit_condition, fit_size, resolution, wanted_frequencies
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import clocks, depth, periods, record_in_period, tracking_train

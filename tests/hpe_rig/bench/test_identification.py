@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hpe_rig.bench import GENERATOR_ROLES, read_bench
-from hpe_rig.bench.identification import displayed_roles, lasting_serial, with_serials
+from hpe_rig.bench.inventory import displayed_roles, lasting_serial, with_serials
 from hpe_rig.scene import SettingsError
 from sim_backend.world import World
 

@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 from drivers.interfaces import InstrumentError, RecordBlock
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare
-from hpe_rig.measurement.full_scale import end_at_full_scale
-from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.run import end_at_full_scale, record_run
 from hpe_rig.measurement.sequencer import Event, ShotBlock, ShotDone
 from hpe_rig.scene import scene_text
 from hpe_rig.store import read_run
