@@ -177,6 +177,8 @@ class _Reader:
         recorded = self._find_recorded(values)
         position_m = statements.line_positions_m(values.shape[0])
         values, recorded, position_m = self._select_lines(values, recorded, position_m)
+        if not recorded.any():
+            statements.add_mistake("lines", "no selected record holds an echo", "other lines, or another array")
         if rate_hz is not None and carrier_hz:
             values, demodulation_hz = self._with_checked_carrier(values, rate_hz, carrier_hz, demodulation_hz)
         if (
@@ -279,23 +281,26 @@ class _Reader:
         return demodulation_hz if is_iq else None
 
     def _find_recorded(self, values: NDArray[Any]) -> BoolArray:
-        """Return which records (line, shot, pulse) exist; add a mistake for values that are not finite.
+        """Return which records (line, shot, pulse) hold an echo. A map marks its pixels itself: then all do.
 
-        A map marks its pixels itself: then all do.
+        Values that are not finite are a mistake, unless they may be missing. Constant records, as of a channel that is
+        not connected, are missing.
         """
         if self.for_map:
             return np.ones(values.shape[:3], np.bool_)
-        recorded: BoolArray = np.array([[_are_finite(shot) for shot in line] for line in values], np.bool_)
-        missing = int((~recorded).sum())
-        if missing and self.settings.not_finite != "missing":
-            what = f"{missing} of {recorded.size} records hold values that are not finite: {_list_records(~recorded)}"
+        # One shot in memory at a time.
+        finite: BoolArray = np.array([[_are_finite(shot) for shot in line] for line in values], np.bool_)
+        constant: BoolArray = np.array([[_are_constant(shot) for shot in line] for line in values], np.bool_)
+        not_finite = int((~finite).sum())
+        if not_finite and self.settings.not_finite != "missing":
+            what = f"{not_finite} of {finite.size} records hold values that are not finite: {_list_records(~finite)}"
             remedy = f'numbers of up to {MAX_VALUE:g}, or not_finite = "missing"'
             self.statements.add_mistake("", what, remedy)
-        elif missing:
-            self.statements.inferred.append(f"{plural(missing, 'record')} with values that are not finite: missing")
-            if not recorded.any():
-                self.statements.add_mistake("", "no record holds finite values alone", "another file")
-        return recorded
+        for marked, what in ((~finite, "values that are not finite"), (constant & finite, "one value throughout")):
+            if marked.any():
+                text = f"{plural(int(marked.sum()), 'record')} with {what}: missing ({_list_records(marked)})"
+                self.statements.inferred.append(text)
+        return np.asarray(finite & ~constant)
 
     def _select_lines(
         self, values: NDArray[Any], recorded: BoolArray, position_m: FloatArray | None
@@ -381,6 +386,12 @@ def _are_finite(records: NDArray[Any]) -> BoolArray:
         (component.max(axis=-1) <= MAX_VALUE) & (component.min(axis=-1) >= -MAX_VALUE) for component in components
     ]
     return np.asarray(np.logical_and.reduce(in_range))
+
+
+def _are_constant(records: NDArray[Any]) -> BoolArray:
+    """Return which ``records`` (pulse, sample) hold one value throughout."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((records == records[:, :1]).all(axis=-1))
 
 
 def _list_records(marked: BoolArray) -> str:

@@ -222,8 +222,8 @@ def _quantisation(recording: Recording) -> tuple[ToCodes, float, list[str]]:
     values = recording.values
     if are_codes(values):
         return _integer_quantisation(recording)
-    # One shot in memory at a time. Records of zeros have no scale, and no echo.
-    largest = max(float(np.abs(shot).max()) for line in values for shot in line) or 1.0
+    # One shot in memory at a time.
+    largest = max(float(np.abs(shot).max()) for line in values for shot in line)
     unit_v = 1.0 if recording.scale_v is None else recording.scale_v
     # The largest value gets the code MAX_CODE. Full scale is one and a half codes above it.
     range_v = largest * unit_v * (2 * MAX_CODE + 3) / (2 * MAX_CODE)

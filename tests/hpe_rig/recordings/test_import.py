@@ -389,14 +389,20 @@ def test_records_that_are_not_finite_may_count_as_missing(scene: Path) -> None:
     assert run.estimate().shots[0].pulses_missing == 3
 
 
-def test_records_without_echo_are_omitted_with_a_warning_or_leave_no_estimate(scene: Path) -> None:
-    run = hpe.import_records(_with(5, 0.25), scene, scene.parent / "pulse.h5", **GOOD)
+def test_constant_records_are_missing_and_a_recording_of_them_alone_is_refused(scene: Path) -> None:
+    run = hpe.import_records(_with([5, 6], 0.25), scene, scene.parent / "pulse.h5", **GOOD)
+    assert run.bench.recording is not None
+    said = "2 records with one value throughout: missing (line 1 shot 1 pulse 6, line 1 shot 1 pulse 7)"
+    assert said in run.bench.recording.inferred
     (shot,) = run.estimate().shots
-    assert shot.pulses_used == PULSES - 1
-    assert any(text.startswith("1 of 40 pulses are omitted") for text in shot.warnings)
-    run = hpe.import_records(np.zeros((PULSES, SAMPLES)), scene, scene.parent / "zeros.h5", **GOOD)
-    with pytest.raises(StoreError, match="no echo: the gate is constant or zero"):
-        run.estimate()
+    assert shot.pulses_missing == 2
+    assert shot.estimates[0].tracked_amplitude_m == pytest.approx(AMPLITUDE_M, rel=1e-3)
+    lines = np.stack([RF[0], np.ones((PULSES, SAMPLES))])
+    settings = {**GOOD, "axes": "line,pulse,sample", "line_pitch_m": 1e-4}
+    for selected in ("2", "mean"):
+        with pytest.raises(SettingsError, match="no selected record holds an echo"):
+            hpe.import_records(lines, scene, scene.parent / "lines.h5", lines=selected, **settings)
+    hpe.import_records(lines, scene, scene.parent / "first.h5", lines="1", **settings)
 
 
 @pytest.mark.parametrize("text", ["", "0", "4", "3-1", "1-9", "x", "mean:7", "1,2", "-1", "1-"])

@@ -194,6 +194,7 @@ DAMAGED: dict[str, tuple[dict[str, Any], str]] = {
     "UFF with a late first sample": (UFF | {"channel_data/initial_time": 1e9}, "of the file states 1e+09"),
     "UFF with values that are not finite": (uff(np.where(RF > 0, RF, np.nan)[:, None]), "not finite"),
     "UFF of waves with other delays": (plain_uff(RF[None], *TIME_S[:12]), "sequence/delay differs between waves (0 to"),
+    "UFF of zeros": (uff(0 * RF[:, None]), "no selected record holds an echo"),
     "UFF of five axes": (uff(RF[:, None, None]), "several arrays may be the samples"),
     "UFF of pixels without sound speed": (
         UFF
