@@ -27,7 +27,7 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
     if bench.simulated:
         if scene.processing.drift == "linear":
             reason = 'processing.drift = "linear" gives the motion at the first pulse, true values are means'
-            omitted.append(Omission("comparison with true values", f"{reason} over the window"))
+            omitted.append(("comparison with true values", f"{reason} over the window"))
         return [*omitted, *_omitted_by_twin(twin_of(scene))]
     if bench.recording is not None:
         return [*omitted, ("instruments", "the records were imported")]

@@ -14,10 +14,10 @@ from hpe_rig import sweep
 from hpe_rig.live.history import RemainingTime
 from hpe_rig.live.server import ENDED
 from hpe_rig.live.source import RunSource
+from hpe_rig.measurement.requests import request_stop, stop_path
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress, Step
 from hpe_rig.measurement.setup import prepare
-from hpe_rig.measurement.stop_request import request_stop, stop_path
 from hpe_rig.runs.run import process
 from hpe_rig.scene import load_scene
 from hpe_rig.store import StoreError
