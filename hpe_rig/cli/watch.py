@@ -93,8 +93,13 @@ def supervise(
         # Without a terminal and a page no key can confirm: a line of standard input does.
         confirmation_keys = read_keys if has_page or sys.stdin.isatty() else None
         ask = _ask_for_moves(path, run_id, confirmation_keys, announce, has_page)
-        move = (lambda lateral_m: announce(_move_text(lateral_m))) if options.yes else ask
+        move = _announce_moves(announce) if options.yes else ask
         yield lambda observer: with_requests(log(observer), path, run_id, is_paused, announce), move
+
+
+def _announce_moves(announce: Callable[[str], None]) -> Mover:
+    """Return a mover that announces each movement without waiting for it."""
+    return lambda lateral_m: announce(_move_text(lateral_m))
 
 
 def _ask_for_moves(
