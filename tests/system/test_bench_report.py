@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import count
 from pathlib import Path
 
 import pytest
@@ -37,67 +36,11 @@ def absent_bench(real_bench: Callable[..., Path]) -> Path:
     return real_bench(address="TCPIP::127.0.0.1::{}::SOCKET")
 
 
-def test_every_instrument_is_identified_timed_and_left_safe(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[World] = []
-    make = World.__init__
-    monkeypatch.setattr(
-        World, "__init__", lambda world, *args, **kwargs: (make(world, *args, **kwargs), made.append(world))[0]
-    )
-    ticks = count()
-    report = survey(read_bench().bench, lambda: float(next(ticks)))
-    assert [found.role for found in report.instruments] == [
-        "master",
-        "burst_train",
-        "toneburst",
-        "tracking_train",
-        "tracking_pulser",
-        "digitizer",
-    ]
-    assert [found.identity.model for found in report.instruments if found.identity] == ["33250A"] * 5 + ["ATS460"]
-    assert all(found.latency_s == 1.0 for found in report.instruments)
-    assert report.complete
-    assert not any(made[0].outputs_on().values())
-
-
 def test_a_simulated_bench_behind_sockets_is_surveyed_through_them(tmp_path: Path) -> None:
     served = edited(tmp_path, ("simulated = true", 'simulated = true\ntransport = "socket"'))
     report = survey(read_bench(served).bench)
     assert report.complete
     assert [found.address for found in report.instruments[:-1]] == ["socket loopback"] * 5
-
-
-def test_generators_test_themselves_where_that_is_asked_for_with_every_output_off(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    tested = []
-    wire = World.connect
-
-    class Failing:
-        def __init__(self, world: World, role: str) -> None:
-            self.world, self.role, self.inner, self.asked = world, role, wire(world, role), False
-
-        def write(self, message: str) -> None:
-            self.asked = message == "*TST?"
-            if self.asked:
-                tested.append((self.role, any(self.world.outputs_on().values())))
-            self.inner.write(message)
-
-        def read(self) -> str:
-            reply = self.inner.read()
-            return "+1" if self.asked and self.role == "toneburst" else reply
-
-        def close(self) -> None:
-            self.inner.close()
-
-    monkeypatch.setattr(World, "connect", lambda world, role: Failing(world, role))
-    assert [found.self_test for found in survey(read_bench().bench).instruments] == [None] * 6
-    assert tested == []
-    report = survey(read_bench().bench, self_test=True)
-    assert [found.self_test for found in report.instruments] == [True, True, False, True, True, None]
-    assert [role for role, _ in tested] == [found.role for found in report.instruments[:-1]]
-    assert not any(on for _, on in tested)
-    assert {found.role for found in report.instruments if found.problems} == {"toneburst"}
-    assert not report.complete
 
 
 def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,13 +81,6 @@ def test_an_instrument_whose_settings_cannot_be_read_is_one_row_of_the_table(mon
     assert [found.role for found in report.instruments if found.identity is None] == ["toneburst"]
     assert "queries had" in report.instruments[2].problems[0]
     assert len(report.settings) == 5
-
-
-def test_a_board_other_than_the_bench_file_says_is_told_with_the_key_to_change(tmp_path: Path) -> None:
-    other = edited(tmp_path, ("dual_port_memory = true", "samples_per_channel = 4096"))
-    digitizer = survey(read_bench(other).bench).instruments[-1]
-    assert any("digitizer.dual_port_memory = true" in problem for problem in digitizer.problems)
-    assert any("digitizer.samples_per_channel = 8388608" in problem for problem in digitizer.problems)
 
 
 def test_a_bench_where_nobody_answers_is_a_table_of_errors_with_suggestions(

@@ -12,13 +12,10 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.measurement import prepare, record_run
-from hpe_rig.measurement.sequencer import Progress, Step
 from hpe_rig.processing import estimate_controls, shot_fit
 from hpe_rig.report.page import _settings_texts
 from hpe_rig.runs import json_schema
 from hpe_rig.scene import SettingsError, scene_text
-from sim_backend.world import World
 
 HUM_M = 60e-9
 SCENE = hpe.load_scene("bovine-muscle").with_(
@@ -69,32 +66,6 @@ def test_the_motion_in_the_control_is_the_hum_and_is_in_every_output(run: hpe.Ru
     assert printed["shots"][0]["control"][0]["tracked_amplitude_m"] == result.shots[0].control[0].tracked_amplitude_m
     assert "u_control_m" in result.to_frame().columns
     assert "control" in result.covariance().sources
-
-
-def test_a_control_is_the_same_shot_with_the_toneburst_output_off(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    worlds, on = list[World](), dict[int, set[str]]()
-    make = World.__init__
-    monkeypatch.setattr(
-        World, "__init__", lambda world, *args, **kwargs: (make(world, *args, **kwargs), worlds.append(world))[0]
-    )
-
-    def observe(progress: Progress) -> None:
-        if progress.step is Step.COLLECT:
-            on[progress.shot.index] = {role for role, is_on in worlds[-1].outputs_on().items() if is_on}
-
-    setup = prepare(SCENE.with_({"acquisition.repeats": 1}), changes={"acquisition.control": True})
-    shot, control = setup.plan.shots
-    assert (shot.is_control, control.is_control) == (False, True)
-    assert (shot.toneburst, shot.timeline) == (control.toneburst, control.timeline)
-    stored = hpe.open_run(record_run(setup, tmp_path / "run.h5", observe)).stored
-    assert on[0] - on[1] == {"toneburst"}
-    assert stored.force_set.tolist() == pytest.approx([1.0, 0.0])
-    truth = stored.true_displacement_m
-    assert truth is not None
-    assert np.abs(truth.harmonics_m(0, 10)).max() > 100e-9
-    assert np.abs(truth.harmonics_m(1, 10)).max() == 0.0
 
 
 def test_a_shot_without_its_control_says_so(run: hpe.Run) -> None:

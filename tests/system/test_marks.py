@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.measurement.resumption import prepare_resumption, resume
-from hpe_rig.store import StoreError, list_runs, read_run, read_sealed, sealed_json
+from hpe_rig.store import read_run, read_sealed
 
 FIXTURES = Path(__file__).parents[1] / "fixtures" / "run_files"
 WHY = "shot 2 left out: marked bad: cable touched"
@@ -64,22 +63,6 @@ def test_python_marks_a_shot_and_takes_the_mark_back(run_file: Path) -> None:
         run.mark(2, bad="none")
 
 
-def test_the_list_shows_marks_and_no_result_from_before_them(run_file: Path) -> None:
-    command("process", run_file)
-    (entry,) = list_runs(run_file.parent)[0]
-    assert entry.lead is not None
-    command("mark", run_file, 2, "--bad", "cable touched")
-    (marked,) = list_runs(run_file.parent)[0]
-    assert (marked.lead, marked.shots_marked_bad) == (None, 1)
-    assert "1 marked bad" in " ".join(command("list", run_file.parent).split())
-    command("process", run_file)
-    (processed,) = list_runs(run_file.parent)[0]
-    assert processed.lead is not None
-    command("mark", run_file, 2, "--good")
-    (unmarked,) = list_runs(run_file.parent)[0]
-    assert unmarked.lead is None
-
-
 @pytest.mark.slow
 def test_moduli_leave_a_bad_shot_out(tmp_path: Path) -> None:
     scene = hpe.load_scene("gelatin-moduli").with_(
@@ -102,33 +85,9 @@ def test_wrong_verdicts_are_refused_with_every_mistake(run_file: Path) -> None:
     assert not run_file.with_name("run.marks.json").exists()
 
 
-def test_marks_of_another_run_are_not_applied_and_damaged_ones_are_refused(run_file: Path) -> None:
-    command("mark", run_file, 2, "--bad", "cable touched")
-    marks = run_file.with_name("run.marks.json")
-    text = marks.read_text(encoding="utf-8")
-    tables, _ = read_sealed(marks)
-    tables["run"]["started"] = "2001"
-    marks.write_text(sealed_json(tables), encoding="utf-8")
-    stored = read_run(run_file)
-    assert not stored.marks
-    assert "run.marks.json belongs to another run than run.h5" in str(stored.damage[0])
-    for wrong in (text[:-9], text.replace('"shot": 2', '"shot": 9'), "[]", text.replace("bad", "good")):
-        marks.write_text(wrong, encoding="utf-8")
-        with pytest.raises(StoreError, match=r"run\.marks\.json cannot be read as marks of shots"):
-            read_run(run_file)
-
-
 def test_marks_of_an_earlier_release_have_no_checksum_and_are_applied(run_file: Path) -> None:
     command("mark", run_file, 2, "--bad", "cable touched")
     marks = run_file.with_name("run.marks.json")
     tables, _ = read_sealed(marks)
     marks.write_text(json.dumps(tables), encoding="utf-8")
     assert read_run(run_file).marks == {1: "marked bad: cable touched"}
-
-
-def test_a_resumed_run_keeps_the_marks_of_the_shots_that_it_copies(tmp_path: Path) -> None:
-    stopped = Path(shutil.copy(FIXTURES / "aborted.h5", tmp_path / "run.h5"))
-    hpe.open_run(stopped).mark(0, bad="cable touched")
-    resumed = read_run(resume(prepare_resumption(stopped)))
-    assert resumed.marks == {0: "marked bad: cable touched"}
-    assert resumed.shot_complete.all()

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.measurement import prepare, record_run
+from hpe_rig.measurement import prepare
 from hpe_rig.measurement.between_shots import require_mover
 from hpe_rig.moduli import ModuliResult
 from hpe_rig.report.page import _scene_at
@@ -175,20 +175,3 @@ def test_several_offsets_on_a_bench_need_a_mover() -> None:
     require_mover(plan, simulated=False, move=lambda lateral_m: None)
     with pytest.raises(SettingsError, match=r"hpe_rig\.stages"):
         require_mover(plan, simulated=False, move=None)
-
-
-def test_the_transducer_moves_once_for_each_offset_with_all_outputs_off(tmp_path: Path) -> None:
-    from hpe_rig.measurement import Progress, Step
-
-    seen: list[tuple[str, float]] = []
-
-    def observe(progress: Progress) -> None:
-        seen.append((progress.step.value, progress.shot.lateral_offset_m))
-
-    places = {"sweep.lateral_offset_m": [0.0, 2e-3], "acquisition.repeats": 2, "excitation.burst_count": 4}
-    scene = load_scene("gelatin-moduli").with_({**places, "processing.window_start_s": 0.0})
-    record_run(prepare(scene), tmp_path / "run.h5", observe)
-    moves = [where for step, where in seen if step == Step.MOVE.value]
-    assert moves == [0.0, 2e-3]
-    second = seen.index((Step.MOVE.value, 2e-3))
-    assert seen[second - 1] == (Step.SAFE.value, 0.0)

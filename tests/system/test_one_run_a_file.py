@@ -173,33 +173,6 @@ def test_a_run_about_to_be_refused_takes_no_request_from_the_run_that_goes_on(se
         during(setup, path, request_and_clear)
 
 
-def test_a_request_made_by_hand_stops_whatever_run_finds_it(setup: Setup, tmp_path: Path) -> None:
-    path = tmp_path / "run.h5"
-    with pytest.raises(StopRequested):
-        during(setup, path, stop_path(path).touch)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
-def test_a_request_follows_no_link_and_a_link_is_no_request(setup: Setup, tmp_path: Path) -> None:
-    path, precious = tmp_path / "run.h5", tmp_path / "precious"
-    precious.write_text("precious")
-    stop_path(path).symlink_to(precious)
-    assert not stop_requested(path, MINE)
-    with pytest.raises(StopRequested):
-        during(setup, path, lambda: request_stop(path))
-    assert precious.read_text() == "precious"
-    assert not stop_path(path).is_symlink()
-
-
-def test_a_run_that_has_ended_cannot_be_asked_to_stop(setup: Setup, tmp_path: Path) -> None:
-    path = record_run(setup, tmp_path / "run.h5")
-    with pytest.raises(StoreError, match=r"has ended \(complete\)"):
-        request_stop(path)
-    with pytest.raises(StoreError, match="does not exist"):
-        request_stop(tmp_path / "other.h5")
-    assert not list(tmp_path.glob("*.stop"))
-
-
 @pytest.mark.skipif(os.name == "nt", reason="needs fork and SIGKILL")
 def test_a_run_that_was_killed_cannot_be_asked_to_stop_and_goes_on_at_once(setup: Setup, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
@@ -212,12 +185,3 @@ def test_a_run_that_was_killed_cannot_be_asked_to_stop_and_goes_on_at_once(setup
         request_stop(path)
     # The system has released its lock.
     assert prepare_resumption(path).complete == 1
-
-
-def test_a_folder_in_the_requests_place_is_a_message(setup: Setup, tmp_path: Path) -> None:
-    stop_path(tmp_path / "run.h5").mkdir()
-    scene = str(tmp_path / "table-1.toml")
-    done = CliRunner().invoke(app, ["run", scene, "--output", str(tmp_path / "run.h5")])
-    assert done.exit_code == 2, done.output
-    assert "run.h5.stop has the name of" in done.output
-    assert not (tmp_path / "run.h5").exists()

@@ -29,7 +29,6 @@ from hpe_rig.measurement import (
     QueueRun,
     Setup,
     Step,
-    StopRequested,
     new_queue,
     pause_requested,
     prepare,
@@ -188,29 +187,6 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
         source.stop()
 
 
-@pytest.mark.slow
-def test_a_stop_between_two_runs_ends_the_queue_before_the_next_and_is_forgotten_by_a_resume(tmp_path: Path) -> None:
-    runs = [(str(path), None) for path in scenes(tmp_path, 2)]
-    folder = tmp_path / "queue"
-    now_s = [0.0]
-    queue, source, told = new_queue(runs, folder), QueueSource(folder, lambda: now_s[0]), Watcher()
-    source.poll()
-
-    def tell(text: str) -> None:
-        if text.startswith("run 2"):
-            # The first run is complete, the second one has not begun; nobody has looked for a minute.
-            now_s[0] = 60.0
-            source.poll()
-            source.stop()
-
-    with pytest.raises(StopRequested):
-        run_queue(folder, queue, QueueHooks(tell, told.watch, process))
-    assert [run.state for run in read_queue(folder)] == ["done", "stopped"]
-    assert {name for name, _, _ in told.steps} == {"01-scene-0.h5"}
-    ended, _ = run_queue(folder, read_queue(folder), Watcher().watching)
-    assert [run.state for run in ended] == ["done", "done"]
-
-
 def test_the_page_of_a_queue_that_was_stopped_ends_once_no_run_follows(tmp_path: Path) -> None:
     runs = [(str(path), None) for path in scenes(tmp_path, 2)]
     folder, now_s = tmp_path / "queue", [0.0]
@@ -224,27 +200,6 @@ def test_the_page_of_a_queue_that_was_stopped_ends_once_no_run_follows(tmp_path:
     ended = source.poll()
     assert ended is not None
     assert (ended["status"], ended["queue"]["done"]) == ("aborted", 0)
-
-
-def test_a_failure_ends_the_queue_where_that_is_asked_for(tmp_path: Path) -> None:
-    (path,) = scenes(tmp_path, 1)
-    queue = new_queue([(str(path), absent_bench(tmp_path)), (str(path), None)], tmp_path / "queue")
-    ended, results = run_queue(tmp_path / "queue", queue, Watcher().watching, stop_on_failure=True)
-    assert [run.state for run in ended] == ["failed", "waiting"]
-    assert results == {}
-
-
-def test_nothing_starts_where_one_run_is_wrong_and_all_that_is_wrong_is_said(tmp_path: Path) -> None:
-    good, bad = scenes(tmp_path, 2)
-    bad.write_text(good.read_text(encoding="utf-8").replace("pulse_rate_hz = 4000.0", "pulse_rate_hz = 1e6"), "utf-8")
-    with pytest.raises(SettingsError, match=r"(?s)run 2, .*depth: .*run 3, nowhere.*run 4, .*absent"):
-        new_queue(
-            [(str(good), None), (str(bad), None), ("nowhere", None), (str(good), tmp_path / "absent.toml")],
-            tmp_path / "queue",
-        )
-    assert not (tmp_path / "queue").exists()
-    with pytest.raises(StoreError, match="hpe-rig queue made"):
-        read_queue(tmp_path)
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '[{"name": 1}]', "[" * 2000, "\0\xff"])
@@ -333,22 +288,6 @@ def test_at_a_place_enter_goes_on_and_yes_only_says_where_to(tmp_path: Path) -> 
     # The first Enter was pressed before the request.
     assert next(keys, None) is None
     assert not list(tmp_path.iterdir())
-
-
-def test_a_pause_can_be_ended_by_a_stop(tmp_path: Path) -> None:
-    def stop(seconds: float) -> None:
-        raise KeyboardInterrupt
-
-    path, ended = tmp_path / "run.h5", list[int]()
-
-    def observe(progress: Progress) -> None:
-        if progress.step is Step.SAFE:
-            ended.append(progress.shot.index)
-
-    asked = with_pauses(observe, lambda: bool(ended), lambda text: None, stop)
-    with pytest.raises(KeyboardInterrupt):
-        record_run(prepare(scenes(tmp_path, 1)[0]), path, asked)
-    assert read_run(path).shot_complete.tolist() == [True, False]
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from hpe_rig.measurement.sequencer import Progress
 from hpe_rig.measurement.setup import Setup
 from hpe_rig.result.provenance import Stages
 from hpe_rig.runs.run import process
-from hpe_rig.store import StoreError, read_run, writer as store_writer
+from hpe_rig.store import read_run, writer as store_writer
 from hpe_rig.store.format import STAGES
 
 Prepare = Callable[..., Setup]
@@ -111,30 +111,6 @@ def test_resuming_gives_the_same_table_when_every_clock_is_off(prepared: Prepare
     setup = prepared("bovine-muscle-synchronous", *SWEEP, ("[simulation.receiver]", clocks))
     expected = table(record_run(setup, tmp_path / "whole.h5"))
     assert resumed_table(stopped_after(setup, tmp_path / "run.h5", 2)) == expected
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda text: text.replace("burst_count = 6", "burst_count = 7"), "another scene"),
-        pytest.param(lambda text: text.replace("seed = 1", "seed = 2"), "another scene", marks=pytest.mark.slow),
-    ],
-)
-def test_resume_refuses_another_scene_another_bench_and_a_complete_run(
-    prepared: Prepare, tmp_path: Path, change: Callable[[str], str], message: str
-) -> None:
-    setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    path = record_run(setup, tmp_path / "run.h5")
-    other = tmp_path / "other.toml"
-    other.write_text(change(setup.scene.text), encoding="utf-8")
-    with pytest.raises(StoreError, match=message):
-        prepare_resumption(path, str(other))
-    bench = tmp_path / "bench.toml"
-    bench.write_text(setup.bench.text.replace("delay_s = 10e-9", "delay_s = 11e-9"), encoding="utf-8")
-    with pytest.raises(StoreError, match="bench"):
-        prepare_resumption(path, bench_path=bench)
-    with pytest.raises(StoreError, match="all of its 4 shots"):
-        prepare_resumption(path)
 
 
 def test_resume_from_the_command_line_logs_and_stops_like_run(

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -99,27 +98,6 @@ def test_outputs_are_on_when_the_master_fires(prepared: Prepare) -> None:
             pass
     assert all(on.values())
     assert_safe(bench)
-
-
-def test_shots_start_one_shot_period_apart_and_the_observer_is_asked_meanwhile(prepared: Prepare) -> None:
-    setup = prepared("bovine-muscle", ("[acquisition]\n", "[acquisition]\nrepeats = 3\nshot_period_s = 1.3\n"))
-    fired_s: list[float] = []
-    waits = [0]
-    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
-
-        def observe(progress: Progress) -> None:
-            if progress.step is Step.WAIT:
-                waits[-1] += 1
-            if progress.step is Step.FIRE:
-                fired_s.append(bench.clock.now_s())
-                waits.append(0)
-
-        for _ in acquire(setup.plan, bench, observe):
-            pass
-    assert [late - early for early, late in pairwise(fired_s)] == pytest.approx([1.3, 1.3], abs=1e-9)
-    # The train takes 0.2 s, the rest of the period is slept in pieces of at most 0.2 s.
-    assert waits[0] == 0
-    assert all(3 <= count <= 6 for count in waits[1:-1])
 
 
 def test_what_is_off_is_claimed_of_nobody_else() -> None:
