@@ -157,6 +157,7 @@ def test_a_run_killed_at_any_moment_opens_keeps_its_records_and_resumes_to_the_s
     kill_at_random(setup, left_alone(setup), tmp_path, kills, seed=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kills", [2, pytest.param(400, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("compress", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["plain", "compressed"])
 def test_a_writer_killed_in_the_middle_of_writing_leaves_whole_records(
