@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import ast
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-from hpe_rig.live import live_page_of
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("hpe_rig", "drivers", "sim_backend")
@@ -111,16 +108,3 @@ def test_processes_are_spawned_never_forked() -> None:
                 if name == "get_context":
                     started.append((file.name, ast.literal_eval(node.args[0])))
     assert started == [("executor.py", "spawn")]
-
-
-def test_a_folder_named_like_a_package_of_ours_does_not_keep_the_live_page_from_starting(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in PACKAGES:
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("raise SystemExit('somebody else s folder')", encoding="utf-8")
-    run_file = Path(shutil.copy(ROOT / "tests" / "fixtures" / "run_files" / "specimen.h5", tmp_path))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("PYTHONPATH", raising=False)
-    with live_page_of(run_file) as (address, _):
-        assert address.startswith("http://127.0.0.1:")
