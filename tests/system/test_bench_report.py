@@ -14,7 +14,6 @@ from hpe_rig.cli.app import app
 from hpe_rig.cli.bench import bench_state, compare_with
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import Setup, prepare
-from hpe_rig.store import StoreError, read_snapshots
 from sim_backend.world import World
 
 Prepare = Callable[..., Setup]
@@ -156,14 +155,3 @@ def test_a_run_is_compared_with_the_bench_as_it_stands(tmp_path: Path) -> None:
     lines = compare_with(run, bench_state(other)).splitlines()
     assert lines[0] == "5 differences"
     assert "  tracking pulser: high 0.5 V in run.h5, 0.4 V in the bench now" in lines
-
-
-def test_snapshots_of_all_acquired_shots_are_read(prepared: Prepare, tmp_path: Path) -> None:
-    setup = prepared("table-1", ("[acquisition]", "[acquisition]\nrepeats = 3"))
-    snapshots = read_snapshots(record_run(setup, tmp_path / "run.h5"))
-    assert len(snapshots) == 3
-    assert set(snapshots[0]) == set(setup.plan.roles)
-    foreign = tmp_path / "foreign.h5"
-    foreign.write_bytes(b"no HDF5")
-    with pytest.raises(StoreError, match="foreign"):
-        read_snapshots(foreign)

@@ -46,6 +46,7 @@ def check(coverage: ModuleType, scene: str, estimators: list[str], seeds: int, d
             assert 0.8 - deviations * spread < row.nev[axis] < 1.25 + deviations * spread, label
 
 
+@pytest.mark.slow
 def test_the_coverage_table_is_written_from_the_stored_parts(
     coverage: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

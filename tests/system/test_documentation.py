@@ -22,7 +22,6 @@ from hpe_rig.cli.app import app
 
 DOCS = Path(__file__).parents[2] / "docs"
 FAST = (
-    "docs/how-to/bench-file.md",
     "docs/how-to/hook-up.md",
     "docs/tutorials/own-data.md",
 )

@@ -147,10 +147,17 @@ def test_a_push_that_takes_minutes_is_announced_before_it_begins(
     assert "with 128 harmonics takes minutes" in caplog.text
 
 
+ENDLESS = [DEEP_TABLE, LONG_NUMBER, "x = 0x" + "f" * 5000 + "\n", "x = " + "{a=" * 3000 + "1" + "}" * 3000]
+
+
 @pytest.mark.parametrize(
-    "text", [DEEP_TABLE, LONG_NUMBER, "x = 0x" + "f" * 5000 + "\n", "x = " + "{a=" * 3000 + "1" + "}" * 3000]
+    ("source", "text"),
+    [
+        *(("scene", text) for text in ENDLESS),
+        *((source, DEEP_TABLE) for source in ("bench", "study", "stored scene", "stored bench")),
+    ],
+    ids=range(8),
 )
-@pytest.mark.parametrize("source", ["scene", "bench", "study", "stored scene", "stored bench"])
 def test_endless_numbers_and_nesting_are_refused(small_run: Path, tmp_path: Path, source: str, text: str) -> None:
     path = tmp_path / "x.toml"
     bodies = {"scene": small_scene(), "bench": read_bench().text, "study": STUDY}

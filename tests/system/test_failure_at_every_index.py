@@ -381,7 +381,8 @@ def outputs_watched(tap: Tap) -> Iterator[dict[str, float]]:
         ),
     ],
 )
-@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [False, True], ids=["few", "many"])
 def test_a_fault_over_a_real_transport_leaves_the_bench_safe(
     prepared: Prepare,
     tmp_path: Path,

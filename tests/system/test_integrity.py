@@ -64,11 +64,11 @@ def test_no_truncation_changes_a_result_without_a_message(counts_of: Callable[..
         assert counts[DETECTED] == cases
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize(
     "arguments",
-    [("--every", "400", "--kinds", "plain"), pytest.param(("--every", "1"), marks=pytest.mark.slow)],
-    ids=["first", "every"],
+    [("--every", "1")],
 )
 def test_a_disk_that_fails_at_any_operation_ends_in_a_message_and_an_intact_file(
     arguments: tuple[str, ...], counts_of: Callable[..., Counts]

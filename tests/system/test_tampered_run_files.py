@@ -337,7 +337,7 @@ def outcomes_of(calls: Iterator[tuple[str, Callable[[], object]]], folder: Path)
 
 
 @needs_linux
-@pytest.mark.parametrize("cases", [30, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [12, pytest.param(4000, marks=pytest.mark.slow)])
 def test_mutated_run_files_end_in_a_result_or_a_message(small: Path, tmp_path: Path, cases: int) -> None:
     data, rng = small.read_bytes(), np.random.default_rng(5)
     fuzzed = tmp_path / "fuzzed.h5"

@@ -75,6 +75,7 @@ def with_full_output(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[
         return subprocess.run(command, stdout=full, stderr=subprocess.PIPE, cwd=cwd, text=True, check=False, timeout=60)
 
 
+@pytest.mark.slow
 def test_the_switched_off_outputs_are_reported_without_standard_output(tmp_path: Path) -> None:
     off = with_full_output("bench", "--off", cwd=tmp_path)
     assert off.returncode == 1
