@@ -209,6 +209,7 @@ def test_both_estimators_agree_on_one_run(prepared: Prepare, tmp_path: Path) -> 
         assert (tmp_path / "run.cross_spectrum.h5").exists()
 
 
+@pytest.mark.slow
 def test_records_and_results_open_in_xarray_with_coordinates_and_units(measured: Measure, tmp_path: Path) -> None:
     result = measured("table-1")
     run_file = tmp_path / result.run_file

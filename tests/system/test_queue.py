@@ -17,8 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.bench import BenchInUseError, hold, read_bench
-from hpe_rig.bench.lock import locked
+from hpe_rig.bench import read_bench
 from hpe_rig.cli.app import app
 from hpe_rig.cli.watch import _announce_moves, _ask_for_moves
 from hpe_rig.live.queue_source import QueueSource
@@ -245,17 +244,6 @@ def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> 
     assert not validator.is_valid(tomllib.loads(path.read_text("utf-8")))
     with pytest.raises(SettingsError, match="bank"):
         queue_entries([str(path)], None)
-
-
-def test_a_program_holds_a_bench_for_all_of_its_runs_and_keeps_it_from_others() -> None:
-    names = ["A bench of this test"]
-    with hold(names):
-        with locked(names), hold(names):
-            pass
-        child = f"from hpe_rig.bench.lock import locked\nwith locked({names!r}): pass"
-        assert os.spawnv(os.P_WAIT, sys.executable, [sys.executable, "-c", f"{child!s}"]) != 0
-    with locked(names), pytest.raises(BenchInUseError), locked(names):
-        pass
 
 
 def test_a_pause_waits_before_a_shot_with_every_output_off(tmp_path: Path) -> None:

@@ -98,14 +98,14 @@ def test_two_formats_are_refused(command: list[str], tmp_path: Path, monkeypatch
 
 def test_settings_replace_those_of_the_scene_in_check_and_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    change = ["--set", "tracking.pulse_rate_hz=3000.0", "--set", "tracking.pulse_count = 250"]
+    change = ["--set", "tracking.pulse_rate_hz=3000.0", "--set", "tracking.pulse_count = 60"]
     checked = json.loads(CliRunner().invoke(app, ["check", "table-1", *change, "--json"]).output)
     assert checked["can_be_measured"]
-    assert (checked["pulse_rate_hz"], checked["pulses"]) == (3000.0, 250)
+    assert (checked["pulse_rate_hz"], checked["pulses"]) == (3000.0, 60)
     assert CliRunner().invoke(app, ["run", "table-1", *change, "--json"]).exit_code == 0
     run = hpe.open_run(tmp_path / "table-1.h5")
     assert run.scene.tracking.pulse_rate_hz == 3000.0
-    assert run.records[0].codes.shape[0] == 250
+    assert run.records[0].codes.shape[0] == 60
 
 
 @pytest.mark.parametrize(
