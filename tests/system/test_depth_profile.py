@@ -17,6 +17,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.cli.tables import print_result
 from hpe_rig.medium import HarmonicMedium, PushForce, TrackedRegion, shear_motion
 from hpe_rig.report import write_report
+from hpe_rig.report.page import _depth_pictures
 from hpe_rig.result import Result, result_csv
 
 TRUTH = {"shear_modulus_pa": 7.25e3, "viscosity_pa_s": 1.0}
@@ -121,17 +122,17 @@ def test_a_stored_run_gives_the_profile_that_its_scene_did_not_ask_for(
     assert "gate_profile_step_m" in refused.output
 
 
-@pytest.mark.parametrize("small", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_the_report_draws_amplitude_phase_and_motion_over_depth(
-    run: hpe.Run, tmp_path: Path, small: bool, page_without_pictures: None
-) -> None:
-    if small:
-        # One offset, of which no moduli are fitted, and fewer depths.
-        one_offset = {"sweep.lateral_offset_m": [1e-3], "processing.gate_profile_step_m": 1e-3}
-        run = hpe.measure(run.scene.with_(one_offset), path=tmp_path / "small.h5")
+DEPTH_PICTURES = ("Amplitude over depth", "Phase over depth", "Motion over depth and burst period")
+
+
+def test_the_pictures_of_a_shot_are_amplitude_phase_and_motion_over_depth(result: Result) -> None:
+    assert tuple(picture.title for picture in _depth_pictures(result, result.shots[0])) == DEPTH_PICTURES
+
+
+@pytest.mark.slow
+def test_the_report_draws_amplitude_phase_and_motion_over_depth(run: hpe.Run, tmp_path: Path) -> None:
     page = write_report(run.path, output=tmp_path / "page.html").read_text(encoding="utf-8")
-    for words in ("Amplitude over depth", "Phase over depth", "Motion over depth and burst period"):
-        assert words in page
+    assert all(title in page for title in DEPTH_PICTURES)
 
 
 def test_moduli_of_all_depths_are_the_twins(run: hpe.Run) -> None:

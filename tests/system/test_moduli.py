@@ -141,10 +141,9 @@ def test_the_same_run_twice_is_refused_under_any_name(run: hpe.Run, tmp_path: Pa
     copy = tmp_path / "copy.h5"
     shutil.copyfile(run.path, copy)
     for command in ("moduli", "dispersion"):
-        for second in (run.path, copy):
-            refused = CliRunner().invoke(app, [command, str(run.path), str(second)])
-            assert refused.exit_code == 2
-            assert f"{second} is the same run as {run.path}" in refused.output.replace("\n", "")
+        refused = CliRunner().invoke(app, [command, str(run.path), str(copy)])
+        assert refused.exit_code == 2
+        assert f"{copy} is the same run as {run.path}" in refused.output.replace("\n", "")
 
 
 def test_two_runs_of_one_scene_are_not_the_same_run_and_a_continued_one_is(run: hpe.Run) -> None:
