@@ -126,7 +126,8 @@ DEPTH_PICTURES = ("Amplitude over depth", "Phase over depth", "Motion over depth
 
 
 def test_the_pictures_of_a_shot_are_amplitude_phase_and_motion_over_depth(result: Result) -> None:
-    assert tuple(picture.title for picture in _depth_pictures(result, result.shots[0])) == DEPTH_PICTURES
+    titles = [picture.title.partition(",")[0] for picture in _depth_pictures(result, result.shots[0])]
+    assert titles == list(DEPTH_PICTURES)
 
 
 @pytest.mark.slow
