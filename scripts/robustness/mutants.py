@@ -35,7 +35,7 @@ CODE_AND_TESTS = {
     "store": (
         "hpe_rig/store",
         "tests/hpe_rig/store tests/system/test_one_run_a_file.py tests/system/test_old_run_files.py "
-        "tests/system/test_tampered_run_files.py tests/system/test_resume.py tests/system/test_integrity.py",
+        "tests/system/test_tampered_run_files.py tests/system/test_resume.py",
     ),
     "processing": ("hpe_rig/processing", "tests/hpe_rig/processing"),
     "wiring": (
