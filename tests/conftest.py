@@ -14,7 +14,7 @@ for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 # Every run draws the same examples, so that a failure is repeatable. Slow variants of a test state their own number.
-settings.register_profile("seeded", derandomize=True, max_examples=50)
+settings.register_profile("seeded", derandomize=True, max_examples=25)
 settings.load_profile("seeded")
 
 

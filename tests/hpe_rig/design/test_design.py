@@ -74,7 +74,7 @@ def _best(found: DesignResult) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def most_pulses() -> DesignResult:
     setup = prepare_text("no-speckle", NO_SPECKLE)
-    return find_design(_problem(setup, "pulse_rate_hz,pulse_count", "jitter", longest_s=0.02), generations=4)
+    return find_design(_problem(setup, "pulse_rate_hz,pulse_count", "jitter", longest_s=0.02), generations=2)
 
 
 def test_noise_falls_with_the_pulses_so_as_many_as_time_and_depth_allow_are_best(most_pulses: DesignResult) -> None:
@@ -143,7 +143,7 @@ def test_the_same_seed_gives_the_same_design() -> None:
 
 
 def test_the_toneburst_that_moves_a_harmonic_most_is_half_its_period() -> None:
-    found = find_design(_problem(prepare_text("high", HIGH_HARMONIC), "burst_length_s", "phase-jitter"), generations=3)
+    found = find_design(_problem(prepare_text("high", HIGH_HARMONIC), "burst_length_s", "phase-jitter"), generations=2)
     # eq. (18): the harmonic n goes with sin(pi n f_r T_b); one cycle of 3 MHz is the step
     assert _best(found)["excitation.burst_length_s"] == pytest.approx(1 / 6000, abs=1.01 / 3e6)
     assert found.best.setting is not None
@@ -159,7 +159,7 @@ def test_the_dose_holds_the_toneburst_back() -> None:
     loud = calibration.toneburst.model_copy(update={"sppa_w_per_m2": 1.5e6})
     file = setup.bench.bench.model_copy(update={"calibration": calibration.model_copy(update={"toneburst": loud})})
     setup = replace(setup, bench=replace(setup.bench, bench=file))
-    found = find_design(_problem(setup, "burst_length_s", "jitter"), generations=3)
+    found = find_design(_problem(setup, "burst_length_s", "jitter"), generations=2)
     # 0.3 dB/cm/MHz over 7 cm: 6.3 dB at 3 MHz, 18.9 dB at 9 MHz
     tracking = 3.2e3 * 10**-1.89 * 3 / 9e6 * 8000
     allowed_s = (7.2e3 - tracking) / (1.5e6 * 10**-0.63 * 100)
@@ -170,7 +170,7 @@ def test_the_dose_holds_the_toneburst_back() -> None:
 def test_the_shortest_scene_keeps_the_target() -> None:
     setup = prepare_text("no-speckle", NO_SPECKLE)
     target_m = 1e-9
-    found = find_design(_problem(setup, "pulse_count", "time", longest_s=0.2, target_m=target_m), generations=4)
+    found = find_design(_problem(setup, "pulse_count", "time", longest_s=0.2, target_m=target_m), generations=2)
     # N = 2 (metres per radian / target)^2 / (samples SNR), of the bound
     needed = 2 * (1540 / (4 * math.pi * 9e6) / target_m) ** 2 / (129.87 * 1e4)
     # whole cycles of 20 pulses tell amplitudes best: within one; 1 % of speckle jitter is 2 % of the pulses

@@ -170,10 +170,17 @@ def faults_of(results: Sequence[CableResult]) -> Mapping[tuple[str, str], str]:
         (with_plug(0, source=None), 0, "The cable is open"),
         (with_plug(2, inverted=True), 2, "arrives inverted at toneburst.trigger"),
         pytest.param(with_plug(5, inverted=True), 5, "arrives inverted at transducer.drive", marks=pytest.mark.slow),
-        (with_plug(5, source="tracking_pulser.output"), 5, "the signal of tracking_pulser arrives at transducer.drive"),
+        pytest.param(
+            with_plug(5, source="tracking_pulser.output"),
+            5,
+            "the signal of tracking_pulser arrives at transducer.drive",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(with_plug(1, inverted=True), 1, "no pulse of the master arrives", marks=pytest.mark.slow),
         pytest.param(with_plug(3, inverted=True), 3, "the pulses arrive inverted", marks=pytest.mark.slow),
-        (with_plug(3, source="burst_train.output"), 3, "the pulses of burst_train arrive there"),
+        pytest.param(
+            with_plug(3, source="burst_train.output"), 3, "the pulses of burst_train arrive", marks=pytest.mark.slow
+        ),
         pytest.param(with_plug(3, source=None), 3, "no pulse arrives", marks=pytest.mark.slow),
         pytest.param(with_plug(4, source=None), 4, "no signal at tracking_pulser.trigger", marks=pytest.mark.slow),
         (
@@ -217,7 +224,14 @@ def wrong_operators(actual: ActualBench) -> Mapping[str, Operator]:
     }
 
 
-@pytest.mark.parametrize("words", ["at burst_train.output is the signal of master", "before it starts", "channel A"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "at burst_train.output is the signal of master",
+        pytest.param("before it starts", marks=pytest.mark.slow),
+        "channel A",
+    ],
+)
 def test_mistakes_with_the_t_piece_are_found(words: str) -> None:
     actual, rng = as_stated(), np.random.default_rng(1)
     try:

@@ -50,7 +50,7 @@ class Thermometer:
     @property
     def keys(self) -> str:
         program = "import pathlib, sys; print(pathlib.Path(sys.argv[1]).read_text())"
-        command = json.dumps([sys.executable, "-c", program, str(self.path)])
+        command = json.dumps([sys.executable, "-S", "-c", program, str(self.path)])
         return f'\n[[conditions]]\nname = "temperature"\nunit = "degC"\ncommand = {command}\nmin = 19.0\nmax = 22.0\n'
 
     @property

@@ -21,7 +21,7 @@ def forecast(values: dict[str, object]) -> ModuliForecast:
 
 
 def test_the_forecast_equals_the_uncertainty_of_the_fit_and_depths_do_not_reduce_common_noise(tmp_path: Path) -> None:
-    values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 2.25e-3, 4.75e-3]}
+    values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 3e-3]}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
     found = hpe.fit_moduli(run, laws=["voigt"])
     fit, expected = found.best, forecast(values)
@@ -68,7 +68,6 @@ def test_check_prints_the_forecast_for_several_offsets_or_the_reason_against_it(
     line = [line for line in str(hpe.check("gelatin-moduli")).splitlines() if line.startswith("moduli")]
     assert len(line) == 1
     assert "from 5 lateral offsets" in line[0]
-    assert "moduli" not in str(hpe.check("gelatin-12")).split("prediction at")[1]
     setup = prepare(hpe.load_scene("gelatin-moduli").with_({"simulation.receiver.snr_db": 80.0}), None)
     flat = setup.scene.scene.with_(
         {"beams.excitation_width_m": [0.34e-3, 0.2e-3, 3.6e-3], "simulation.specimen.field": "gaussian"}

@@ -51,7 +51,7 @@ def vibrations(
     return found
 
 
-@pytest.mark.parametrize("places", [FIVE, (0.0,), (0.0, 20e-3)])
+@pytest.mark.parametrize("places", [FIVE, (0.0,), pytest.param((0.0, 20e-3), marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "medium",
     [
@@ -114,13 +114,14 @@ def test_every_law_is_recovered_and_the_most_likely(law: str, settings: dict[str
     fit = fit_medium(vibrations(specimen, FIVE), PUSH, law)  # type: ignore[arg-type]
     for name, value in fit.values.items():
         assert value == pytest.approx(settings[names.get(name, name)], rel=1e-6)
-    fits, probability = compare_media(vibrations(specimen, FIVE, np.random.default_rng(3)), PUSH)
+    fits, probability = compare_media(vibrations(specimen, FIVE[::2], np.random.default_rng(3)), PUSH)
     assert fits[0].law == law
     assert probability[0] > 0.99
     assert not fits[0].excluded
     assert next(each for each in fits if each.law == "voigt").excluded
 
 
+@pytest.mark.slow
 def test_voigt_data_do_not_exclude_a_zener_medium_that_includes_it() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     fits, _ = compare_media(vibrations(specimen, FIVE, np.random.default_rng(4)), PUSH, ("voigt", "zener"))
@@ -130,7 +131,7 @@ def test_voigt_data_do_not_exclude_a_zener_medium_that_includes_it() -> None:
 
 @pytest.mark.parametrize(
     ("places", "trials"),
-    [pytest.param(FIVE, 40, marks=pytest.mark.slow), pytest.param((0.0,), 40, marks=pytest.mark.slow), ((0.0,), 6)],
+    [pytest.param(FIVE, 40, marks=pytest.mark.slow), pytest.param((0.0,), 40, marks=pytest.mark.slow), ((0.0,), 4)],
 )
 def test_intervals_hold_the_truth_as_often_as_they_say(places: tuple[float, ...], trials: int) -> None:
     """Draws of noise, speckle and widths: z^2 has mean 1 within 3 sqrt(2/trials), the misfit a mean of 1."""
@@ -197,21 +198,23 @@ def test_an_offset_beyond_the_tested_field_is_refused() -> None:
         fit_medium(vibrations(specimen, (1e-3, 25e-3)), PUSH)
 
 
-def at_depths(medium: tuple[float, float], depths_m: Sequence[float]) -> list[Vibration]:
+def at_depths(
+    medium: tuple[float, float], depths_m: Sequence[float], frequency_hz: np.ndarray = FREQUENCY_HZ[::3]
+) -> list[Vibration]:
     """Return the twin's motion at two places and several depths, its force everywhere at once, without noise."""
     specimen = Specimen(shear_modulus_pa=medium[0], shear_viscosity_pa_s=medium[1])
     places_m, width = np.array([0.0, 1e-3, 4e-3]), (0.34e-3, 0.34e-3, 3.6e-3)
-    covariance = NOISE_M**2 * np.eye(2 * FREQUENCY_HZ.size)
+    covariance = NOISE_M**2 * np.eye(2 * frequency_hz.size)
     known = {"gain_uncertainty": SPECKLE, "phase_uncertainty_rad": SPECKLE, "area_uncertainty": 0.6}
     known |= {"lateral_uncertainty_m": 35e-6, "stage_uncertainty_m": 20e-6, "tracking_m2": (3e-9, 1e-7)}
-    field = field_transfer(specimen, width, places_m, np.abs(depths_m), FREQUENCY_HZ)
-    field = field * (PUSH.spectrum(FREQUENCY_HZ)[:, None, None] * 800e-9 / abs(field[0, 0, 0]))
+    field = field_transfer(specimen, width, places_m, np.abs(depths_m), frequency_hz)
+    field = field * (PUSH.spectrum(frequency_hz)[:, None, None] * 800e-9 / abs(field[0, 0, 0]))
     found = []
     for i, j in itertools.product(range(1, 3), range(len(depths_m))):
         x, z = float(places_m[i]), depths_m[j]
         there = {"position": f"{x}", "axial_m": z, "travel_s": z / 1540, "axial_uncertainty_m": 1e-4 if z else 0.0}
         label = f"{x * 1e3:g} mm, {z * 1e3:+g} mm"
-        found.append(Vibration(label, FREQUENCY_HZ, field[:, i, j], covariance, x, **there, **known))
+        found.append(Vibration(label, frequency_hz, field[:, i, j], covariance, x, **there, **known))
     return found
 
 
@@ -219,7 +222,7 @@ def test_slopes_with_gates_over_depth_equal_finite_differences() -> None:
     # a force of several Gaussians of which something is not known, as an aperture's
     weight_changes = ("reach", ((0.1, 0.3), (0.0, 0.2))), ("loss", ((0.05, 0.0), (0.0, -0.1)))
     force = PushForce((0.34e-3, 0.8e-3), 3.6e-3, (-1e-3, 4e-3), ((0.7, 0.2), (0.1, 0.2)), weight_changes)
-    motion = at_depths((9e3, 2.0), (-1e-3, 0.0, 2e-3))
+    motion = at_depths((9e3, 2.0), (0.0, 2e-3))
     problem = Problem.of(motion, replace(PUSH, force=force), LAWS["voigt"])
     coordinates = [one.to_coordinate(value) for one, value in zip(problem.law.parameters, (9e3, 2.0), strict=True)]
     unknown = problem.start(np.array(coordinates))[0]

@@ -102,8 +102,9 @@ def from_result_file(run: hpe.Run, direct: Sequence[Vibration]) -> list[Vibratio
     return vibrations
 
 
-def test_the_covariance_of_the_result_file_is_that_of_the_vibrations(run: hpe.Run) -> None:
+def test_the_covariance_of_the_result_file_is_that_of_the_vibrations(tmp_path: Path) -> None:
     """Tolerance: 1e-6, of variances that may lose 1e-8 when the file stores many media as few variables."""
+    run = measured(tmp_path / "run.h5", [2.25e-3])
     direct, _ = vibrations_of([Source(run.path.name, run.scene, run.plan, run.stored)])
     for stored, vibration in zip(from_result_file(run, direct), direct, strict=True):
         scale_m2 = float(np.diag(vibration.covariance_m2).max())
@@ -112,16 +113,22 @@ def test_the_covariance_of_the_result_file_is_that_of_the_vibrations(run: hpe.Ru
 
 
 @pytest.mark.slow
-def test_moduli_from_the_covariance_of_the_result_file_are_those_of_the_run(run: hpe.Run) -> None:
-    direct = fitted(run, run.stored)
+def test_moduli_from_the_covariance_of_the_result_file_are_those_of_the_run(run: hpe.Run, whole: ModuliResult) -> None:
+    direct = whole
     from_file = fit_medium(from_result_file(run, direct.vibrations), push_of([run.scene.places[0]]))
     for name, value in direct.best.values.items():
         assert from_file.values[name] == pytest.approx(value, rel=1e-6)
         assert from_file.uncertainty[name] == pytest.approx(direct.best.uncertainty[name], rel=1e-6)
 
 
-def test_harmonics_below_their_noise_are_omitted_and_named(run: hpe.Run) -> None:
-    result = fitted(run, run.stored)
+@pytest.fixture(scope="module")
+def whole(run: hpe.Run) -> ModuliResult:
+    """Return the moduli from all shots of the run."""
+    return fitted(run, run.stored)
+
+
+def test_harmonics_below_their_noise_are_omitted_and_named(whole: ModuliResult) -> None:
+    result = whole
     require_truth(result)
     (line,) = result.omitted
     assert line.startswith("14 mm: ")
@@ -130,8 +137,7 @@ def test_harmonics_below_their_noise_are_omitted_and_named(run: hpe.Run) -> None
     assert f"omitted: {line}" in str(result)
 
 
-def test_missing_and_untrusted_shots_are_omitted_and_named(run: hpe.Run) -> None:
-    whole = fitted(run, run.stored)
+def test_missing_and_untrusted_shots_are_omitted_and_named(run: hpe.Run, whole: ModuliResult) -> None:
     complete = np.array(run.stored.shot_complete)
     complete[1] = False
     harmed = replace(run.stored, shot_complete=complete, untrusted={2: "the settings changed"})
@@ -154,7 +160,22 @@ def test_a_run_without_a_usable_shot_is_refused_with_the_reasons(run: hpe.Run) -
         fitted(run, nothing)
 
 
-def test_a_force_that_differs_between_offsets_needs_one_amplitude_for_each(tmp_path: Path, run: hpe.Run) -> None:
+def test_a_force_that_differs_between_offsets_needs_one_amplitude_for_each(run: hpe.Run, whole: ModuliResult) -> None:
+    weak = [0.5, 0.5, 1.0, 1.0]
+    scaled = [
+        replace(one, phasor_m=factor * one.phasor_m, covariance_m2=factor**2 * one.covariance_m2)
+        for factor, one in zip(weak, whole.vibrations, strict=True)
+    ]
+    push = push_of([run.scene.places[0]])
+    assert fit_medium(scaled, push).excluded
+    fit = fit_medium([one.with_free_gain() for one in scaled], push)
+    assert not fit.excluded
+    for name, true in TRUTH.items():
+        assert abs(fit.values[name] - true) < 3 * fit.uncertainty[name]
+
+
+@pytest.mark.slow
+def test_runs_of_different_force_need_one_amplitude_for_each_offset(tmp_path: Path) -> None:
     strong = measured(tmp_path / "strong.h5", [1e-3, 2.25e-3])
     weak = measured(tmp_path / "weak.h5", [3.5e-3, 4.75e-3], **{FORCE: 3.5e6})
     common = hpe.fit_moduli(strong, weak, laws=["voigt"])

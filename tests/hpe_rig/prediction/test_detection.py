@@ -61,7 +61,10 @@ def test_the_quantile_of_unequal_quadratures_is_exceeded_once_in_twenty(larger):
     assert np.mean(amplitude > amplitude_quantile(larger)) == pytest.approx(FALSE_ALARMS, abs=tolerance)
 
 
-@pytest.mark.parametrize("name", WITH_SPECIMEN)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name in WITH_SPECIMEN[:3] else pytest.mark.slow) for name in WITH_SPECIMEN],
+)
 def test_every_scene_with_a_specimen_prints_its_dose(name):
     lines = list(detection_text(scene(name)))
     lengths = scene(name).excitation.burst_length_s

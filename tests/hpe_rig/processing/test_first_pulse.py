@@ -69,7 +69,7 @@ def test_a_lost_first_trigger_without_tonebursts_is_part_of_the_uncertainty(tmp_
     [
         pytest.param("", "", {"lost": [0]}, "the first trigger was lost", marks=pytest.mark.slow),
         ("monitor_range_v = 4.0", T_PIECE, {"lost": [0, 1, 300]}, "the first 2 triggers were lost"),
-        (NPT, "", {"lost": [300]}, "a trigger was lost between record"),
+        pytest.param(NPT, "", {"lost": [300]}, "a trigger was lost between record", marks=pytest.mark.slow),
         pytest.param(NPT, "", {"stray_s": [0.1001]}, "a trigger was too many", marks=pytest.mark.slow),
         pytest.param(NPT, "", {"lost": [0]}, "the first trigger was lost", marks=pytest.mark.slow),
     ],
@@ -89,8 +89,8 @@ def test_tonebursts_in_the_records_show_which_pulse_came_first(
 @pytest.mark.parametrize(
     "faults",
     [
-        {"stray_s": [10.125e-3]},
         {"stamp_jumps": [{"record": 31, "jump_s": 0.25}]},
+        pytest.param({"stray_s": [10.125e-3]}, marks=pytest.mark.slow),
         pytest.param({"frozen_stamps": [20, 60]}, marks=pytest.mark.slow),
     ],
 )
@@ -163,7 +163,7 @@ def drawn(shot: Shot, seed: int, timed: bool, visible: bool) -> tuple[np.ndarray
     return train_pulse, assign_pulses(shot, Stored(Records(shot, pulse, time_s, disturbed, seed)))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("visible", [True, False])
+@pytest.mark.parametrize("visible", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("timed", [pytest.param(True, marks=pytest.mark.slow), False])
 @pytest.mark.parametrize("draws", [5, pytest.param(400, marks=pytest.mark.slow)])
 def test_drawn_faults_are_corrected_or_stated(muscle: Shot, draws: int, timed: bool, visible: bool) -> None:
@@ -226,7 +226,7 @@ def test_amplitudes_that_depend_on_the_first_pulse_through_the_prior_are_uncerta
 
 
 def test_the_motion_of_a_run_follows_the_same_assignment(tmp_path: Path) -> None:
-    scene = load_scene("bovine-muscle")
+    scene = load_scene("bovine-muscle").with_({"excitation.burst_count": 8, "processing.window_start_s": 40e-3})
     lost = scene.with_({f"{FAULTS}.lost": [0, 1, 2]})
     complete, shifted = (measure(item, path=tmp_path / f"{name}.h5") for item, name in ((scene, "a"), (lost, "b")))
     difference_m = shifted.displacement_m(0)[3:] - complete.displacement_m(0)[3:]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import hpe_rig as hpe
 from hpe_rig.processing.stated_motion import fit_stated_motion
 
-RATE_HZ, F_HZ, AMPLITUDE_M, PHASE_RAD, SERIES, NOISE_M = 2000.0, 150.0, 1e-6, 0.4, 1200, 30e-9
+RATE_HZ, F_HZ, AMPLITUDE_M, PHASE_RAD, SERIES, NOISE_M = 2000.0, 150.0, 1e-6, 0.4, 300, 30e-9
 TIME_S = np.arange(100) / RATE_HZ
 OMEGA = 2 * np.pi * F_HZ
 SETTINGS: dict[str, Any] = {"pulse_rate_hz": RATE_HZ, "frequencies_hz": [F_HZ, 2 * F_HZ]}

@@ -164,10 +164,13 @@ def iq_pairs_reversed(path: Path) -> dict[str, Any]:
     return RATES | {"axes": "pulse,sample,iq", "demodulation_hz": CARRIER_HZ, "sign": -1}
 
 
-FORMATS = [npy, npz, matlab_5, matlab_73, hdf5, csv, raw_float32, raw_int16, alazar_headers, alazar_npt]
+FORMATS = [npy, npz, matlab_73, hdf5, raw_float32, raw_int16, alazar_headers, alazar_npt]
 
 
-@pytest.mark.parametrize("write", [*FORMATS, pytest.param(iq, marks=pytest.mark.slow), iq_pairs_reversed])
+@pytest.mark.parametrize(
+    "write",
+    [*FORMATS, iq_pairs_reversed, *(pytest.param(write, marks=pytest.mark.slow) for write in (matlab_5, csv, iq))],
+)
 def test_every_format_gives_the_true_motion_of_its_echoes(
     write: Callable[[Path], dict[str, Any]], scene: Path, tmp_path: Path
 ) -> None:
@@ -327,27 +330,24 @@ def test_a_full_disk_of_temporary_files_is_no_damaged_file(scene: Path, monkeypa
     monkeypatch.setattr(tempfile, "tempdir", str(scene.parent / "absent"))
     with pytest.raises(SettingsError, match=r"no temporary file can be made for its numbers \(No such file.*TMPDIR"):
         hpe.import_records(path, scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
-    monkeypatch.undo()
-    run = hpe.import_records(path, scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
-    assert len(run.estimate().shots) == 1
 
 
 def test_the_report_of_a_stored_runs_sweep_follows_its_axes(scene: Path) -> None:
     path, page = scene.parent / "run.h5", scene.parent / "swept.html"
     hpe.import_records(RF[0], scene, path, axes="pulse,sample", **RATES)
-    options = ["--sweep", "gate_length_m=0.6e-3,0.8e-3,1e-3", "--sweep", "background_order=0,1", "--output", str(page)]
+    options = ["--sweep", "gate_length_m=0.6e-3,1e-3", "--sweep", "background_order=0,1", "--output", str(page)]
     done = CliRunner().invoke(app, ["report", str(path), *options])
     assert done.exit_code == 0, done.output
     html = page.read_text(encoding="utf-8")
     assert "<h2>Over acquisition.gate_length_m</h2>" in html
     for words in ("background_order = 0", "background_order = 1", 'id="sweep-amplitude-200', 'id="sweep-phase-200'):
         assert words in html, words
-    # All six points stand in the table; what is drawn of one shot is with its own gate.
+    # All four points stand in the table; what is drawn of one shot is with its own gate.
     assert (
         html.count('<th scope="col">acquisition.gate_length_m</th><th scope="col">processing.background_order</th>')
         == 1
     )
-    shown = main_shot(hpe.open_run(path).sweep({"gate_length_m": [0.6e-3, 0.8e-3, 1e-3], "background_order": [0, 1]}))
+    shown = main_shot(hpe.open_run(path).sweep({"gate_length_m": [0.6e-3, 1e-3], "background_order": [0, 1]}))
     length_mm = shown.swept["acquisition.gate_length_m"] * 1e3
     assert f"{length_mm:g} mm at 1.2 mm depth" in html
     assert f"acquisition.gate_length_m = {length_mm * 1e-3:g}." in html
@@ -532,7 +532,13 @@ def test_a_matlab_file_that_takes_too_long_to_read_is_refused(tmp_path: Path, mo
         matlab.matlab_to_npz(tmp_path / "a.mat", tmp_path / "a.npz", 1_000_000)
 
 
-@pytest.mark.parametrize("case", MALFORMED)
+# SciPy reads these in a process of its own; "mat of another type" is the default one of them.
+OWN_PROCESS = ("text as mat", "empty mat")
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.slow] if case in OWN_PROCESS else []) for case in MALFORMED]
+)
 def test_a_malformed_recording_is_refused_with_one_clear_message(case: str, scene: Path, tmp_path: Path) -> None:
     from hpe_rig.plan import PlanError
 

@@ -280,7 +280,7 @@ ROWS = np.rint(RF * 1000).astype("i2").transpose(0, 2, 1).reshape(-1, LINES)
 """All acquisitions of one frame, (row, channel)."""
 
 
-@pytest.mark.parametrize("version", [5, 7.3])
+@pytest.mark.parametrize("version", [pytest.param(5, marks=pytest.mark.slow), 7.3])
 def test_rows_of_a_verasonics_buffer_are_divided_into_acquisitions(version: float, tmp_path: Path) -> None:
     # Rows behind the last acquisition are not used.
     variables, path = verasonics(np.concatenate([ROWS, np.ones((100, LINES), "i2")])), tmp_path / "a.mat"
@@ -308,7 +308,7 @@ def test_frames_are_pulses_or_shots(one_acquisition: bool, tmp_path: Path) -> No
     np.testing.assert_array_equal(recording.values[0], [samples] if one_acquisition else [samples, -samples])
 
 
-@pytest.mark.parametrize("decimation", [2, 3, 4])
+@pytest.mark.parametrize("decimation", [2, *(pytest.param(count, marks=pytest.mark.slow) for count in (3, 4))])
 def test_bandwidth_sampling_becomes_i_and_q_at_one_time(decimation: int, tmp_path: Path) -> None:
     # Echoes narrower than the rate of the pairs, 20 MHz / 8: their spectrum is below 1e-6 beyond it.
     time_s = np.arange(240) / 20e6
@@ -345,7 +345,10 @@ DAMAGED_BUFFERS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", DAMAGED_BUFFERS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] if name == "one acquisition" else []) for name in DAMAGED_BUFFERS],
+)
 def test_a_damaged_buffer_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
     variables, said = DAMAGED_BUFFERS[name]
     # Version 7.3 is read in this process. It has no array of one structure.

@@ -48,7 +48,7 @@ def test_the_mean_is_as_uncertain_as_noise_over_repeats_and_speckle_in_full() ->
 
 
 def test_means_are_off_by_as_much_as_they_state_and_chi_square_is_noticed_as_often_as_it_should() -> None:
-    trials = 2000
+    trials = 400
     generator = np.random.default_rng(5)
     means = [mean_of(repeats(generator, 5)) for _ in range(trials)]
     ratio = [(mean.amplitude_m - AMPLITUDE_M) / mean.amplitude_uncertainty_m for mean in means]
@@ -79,7 +79,7 @@ def test_only_complete_shots_of_equal_settings_are_repeats() -> None:
     "amplitude", [0.0, pytest.param(1.0, marks=pytest.mark.slow), pytest.param(6.0, marks=pytest.mark.slow)]
 )
 def test_the_phase_of_the_mean_of_weak_repeats_is_as_uncertain_as_stated(amplitude: float) -> None:
-    generator, trials = np.random.default_rng(9), 800
+    generator, trials = np.random.default_rng(9), 200
     ratio = []
     for each in (amplitude + generator.standard_normal((trials, 5, 2)) @ np.array([1, 1j])).tolist():
         shots = []
@@ -107,7 +107,7 @@ def test_the_phase_interval_of_a_mean_that_may_be_noise_is_at_most_the_circle() 
 
 
 @pytest.mark.parametrize(
-    ("freedom", "trials"), [(3, 1000), *(pytest.param(freedom, 3000, marks=pytest.mark.slow) for freedom in (3, 12))]
+    ("freedom", "trials"), [(3, 300), *(pytest.param(freedom, 3000, marks=pytest.mark.slow) for freedom in (3, 12))]
 )
 def test_repeats_of_few_pulses_pool_their_noise(freedom: int, trials: int) -> None:
     """Each u has ``freedom`` degrees of freedom; of means 95 % are within the interval, to 3 sd."""

@@ -15,7 +15,13 @@ from hpe_rig.scene import parse_scene, shipped_scenes
 from hpe_rig.scene.description import toml_value
 
 
-@pytest.mark.parametrize("name", shipped_scenes())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in ("gelatin-8", "muscle-force") else pytest.mark.slow)
+        for name in shipped_scenes()
+    ],
+)
 def test_a_scene_with_every_key_is_the_same_scene(name: str) -> None:
     text = shipped_scenes()[name]
     assert parse_scene(name, full_text("scene", text)).scene == parse_scene(name, text).scene

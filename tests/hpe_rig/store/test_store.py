@@ -26,7 +26,7 @@ from drivers.interfaces import RecordBlock
 from hpe_rig.bench import parse_bench, uninterrupted
 from hpe_rig.cli.measuring import resume, run
 from hpe_rig.measurement.run import record_run
-from hpe_rig.measurement.setup import Setup, prepare, prepare_text
+from hpe_rig.measurement.setup import Setup, prepare_text
 from hpe_rig.result import headline_sentence, symbols
 from hpe_rig.result.html_repr import result_html
 from hpe_rig.result.rows import result_csv, result_frame
@@ -56,13 +56,19 @@ from hpe_rig.store.log import LogWriter
 from hpe_rig.store.records import MISSING
 
 
-@pytest.fixture
-def setup(tmp_path: Path) -> Setup:
+@pytest.fixture(scope="module")
+def setup() -> Setup:
     """Return a small measurement of two shots."""
     text = shipped_scenes()["table-1"].replace("pulse_count = 101", "pulse_count = 48")
-    path = tmp_path / "small.toml"
-    path.write_text(text.replace("[acquisition]", "[acquisition]\nrepeats = 2\nrecord_samples = 256"), "utf-8")
-    return prepare(str(path))
+    return prepare_text("small", text.replace("[acquisition]", "[acquisition]\nrepeats = 2\nrecord_samples = 256"))
+
+
+@pytest.fixture(scope="module")
+def measured(setup: Setup, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a run file of ``setup`` that lies beside its result file, for tests that only read it."""
+    path = record_run(setup, tmp_path_factory.mktemp("measured") / "run.h5")
+    process(path)
+    return path
 
 
 def block_of(setup: Setup, first: int, count: int, time_s: float | None = None) -> RecordBlock:
@@ -169,7 +175,10 @@ def test_blocks_of_a_long_shot_follow_the_placement(setup: Setup, tmp_path: Path
     assert not visited
 
 
-@pytest.mark.parametrize("error", [KeyError("gate"), ValueError("too few samples"), MemoryError()])
+@pytest.mark.parametrize(
+    "error",
+    [KeyError("gate"), *(pytest.param(error, marks=pytest.mark.slow) for error in (ValueError("few"), MemoryError()))],
+)
 def test_an_error_in_the_processing_of_a_block_is_not_called_damage(
     setup: Setup, tmp_path: Path, error: Exception
 ) -> None:
@@ -219,13 +228,13 @@ def test_run_times_are_those_of_the_stages_that_were_measured(setup: Setup, tmp_
     assert read_run(path).run_time_s == {STAGES[0]: 1.5}
 
 
-def test_a_gate_is_read_alone(setup: Setup, tmp_path: Path) -> None:
-    stored = read_run(record_run(setup, tmp_path / "run.h5"))
+def test_a_gate_is_read_alone(measured: Path) -> None:
+    stored = read_run(measured)
     gate = slice(100, 130)
     np.testing.assert_array_equal(stored.records.gated(1, gate).codes, stored.records[1].codes[:, gate])
 
 
-@pytest.mark.parametrize("pulses", [1, 7, 48, 100])
+@pytest.mark.parametrize("pulses", [1, 17, *(pytest.param(pulses, marks=pytest.mark.slow) for pulses in (7, 48, 100))])
 def test_codes_come_in_steps_of_whole_chunks_each_once(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pulses: int
 ) -> None:
@@ -359,7 +368,7 @@ class ShortOfMemory:
         return getattr(self._file, name)
 
 
-@pytest.mark.parametrize("stride", [15, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [40, pytest.param(1, marks=pytest.mark.slow)])
 def test_too_little_memory_for_one_write_ends_the_run_with_a_message_and_a_whole_file(
     setup: Setup, tmp_path: Path, stride: int
 ) -> None:
@@ -424,8 +433,8 @@ def test_a_disk_too_small_for_the_run_is_refused_before_anything_is_written(
     assert not list(tmp_path.glob("*.h5"))
 
 
-def test_a_result_never_replaces_a_file_that_is_none(setup: Setup, tmp_path: Path) -> None:
-    path = record_run(setup, tmp_path / "run.h5")
+def test_a_result_never_replaces_a_file_that_is_none(measured: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(measured, tmp_path))
     result = process(path)
     process(path)
     foreign = result_path(path, "coherent")
@@ -435,20 +444,19 @@ def test_a_result_never_replaces_a_file_that_is_none(setup: Setup, tmp_path: Pat
     assert foreign.read_bytes() == b"precious"
 
 
-def test_compressed_records_are_the_same_records(setup: Setup, tmp_path: Path) -> None:
-    plain = record_run(setup, tmp_path / "plain.h5")
+def test_compressed_records_are_the_same_records(setup: Setup, measured: Path, tmp_path: Path) -> None:
     packed = record_run(setup, tmp_path / "packed.h5", options=WriteOptions(compress=True))
     with h5py.File(packed) as file:
         assert [item[0] for item in _filters(file["records/echo"])] == [32008, 3]
-    for one, other in zip(read_run(plain).records, read_run(packed).records, strict=True):
+    for one, other in zip(read_run(measured).records, read_run(packed).records, strict=True):
         np.testing.assert_array_equal(one.codes, other.codes)
 
 
-def test_records_are_compressed_only_where_that_is_asked_for(setup: Setup, tmp_path: Path) -> None:
+def test_records_are_compressed_only_where_that_is_asked_for(setup: Setup, measured: Path, tmp_path: Path) -> None:
     images = [empty_run(setup.scene, setup.bench, setup.plan, *asked) for asked in ((), (False,), (True,))]
     (tmp_path / "empty.h5").write_bytes(images[0])
     assert images[0] == images[1] != images[2]
-    for path in (record_run(setup, tmp_path / "run.h5"), tmp_path / "empty.h5"):
+    for path in (measured, tmp_path / "empty.h5"):
         with h5py.File(path) as file:
             assert 32008 not in [item[0] for item in _filters(file["records/echo"])]
             assert file["records/echo"].compression is None
@@ -465,20 +473,17 @@ def _filters(dataset: h5py.Dataset) -> list[tuple[int, ...]]:
 
 
 @pytest.mark.external
-def test_h5dump_reads_a_run_and_a_result(setup: Setup, tmp_path: Path) -> None:
-    path = record_run(setup, tmp_path / "run.h5")
-    process(path)
-    for file, name, word in ((path, "/records/shot_complete", "1, 1"), (result_path(path, "coherent"), "/json", "{")):
+def test_h5dump_reads_a_run_and_a_result(measured: Path) -> None:
+    result = result_path(measured, "coherent")
+    for file, name, word in ((measured, "/records/shot_complete", "1, 1"), (result, "/json", "{")):
         done = subprocess.run(["h5dump", "-d", name, file], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert word in done.stdout
-    header = subprocess.run(["h5dump", "-H", path], capture_output=True, text=True, check=True).stdout
+    header = subprocess.run(["h5dump", "-H", measured], capture_output=True, text=True, check=True).stdout
     assert 'DATASET "echo"' in header
 
 
-def test_every_object_is_of_a_type_and_format_that_hdf5_1_10_knows(setup: Setup, tmp_path: Path) -> None:
-    path = record_run(setup, tmp_path / "run.h5")
-    process(path)
+def test_every_object_is_of_a_type_and_format_that_hdf5_1_10_knows(measured: Path) -> None:
     plain: list[str] = []
 
     def look(name: str, item: h5py.HLObject) -> None:
@@ -487,7 +492,7 @@ def test_every_object_is_of_a_type_and_format_that_hdf5_1_10_knows(setup: Setup,
             plain.append(name)
             assert item.id.get_type().get_class() in (0, 1, 3), name
 
-    for file_path in (path, result_path(path, "coherent")):
+    for file_path in (measured, result_path(measured, "coherent")):
         # The superblock's version is the format's: 3 came with HDF5 1.10, 4 with 2.0.
         assert file_path.read_bytes()[8] <= 3
         with h5py.File(file_path) as file:
@@ -495,9 +500,9 @@ def test_every_object_is_of_a_type_and_format_that_hdf5_1_10_knows(setup: Setup,
     assert {"records/echo", "results/amplitude_m", "truth/displacement_m"} <= set(plain)
 
 
-def test_the_axis_of_the_samples_is_the_time_after_the_pulse(setup: Setup, tmp_path: Path) -> None:
+def test_the_axis_of_the_samples_is_the_time_after_the_pulse(setup: Setup, measured: Path) -> None:
     shot = setup.plan.shots[0]
-    with h5py.File(record_run(setup, tmp_path / "run.h5")) as file:
+    with h5py.File(measured) as file:
         sample_s = file["records/sample"][()]
         assert file["records/echo"].dims[2][0] == file["records/sample"]
     assert sample_s[0] == shot.timeline.record_offset_s[0]
@@ -513,8 +518,8 @@ def test_a_missing_record_is_nan_in_xarray(setup: Setup, tmp_path: Path) -> None
         assert float(echo.isel(pulse=7, sample=0)) == pytest.approx(expected_v, rel=1e-6)
 
 
-def test_a_table_goes_to_csv_and_to_pandas_with_every_digit(setup: Setup, tmp_path: Path) -> None:
-    result = process(record_run(setup, tmp_path / "run.h5"))
+def test_a_table_goes_to_csv_and_to_pandas_with_every_digit(measured: Path) -> None:
+    result = open_run(measured).estimate()
     read, frame = list(csv.DictReader(io.StringIO(result_csv(result)))), result_frame(result)
     assert len(read) == len(frame) == 2
     estimate = result.shots[1].estimates[0]
@@ -525,14 +530,14 @@ def test_a_table_goes_to_csv_and_to_pandas_with_every_digit(setup: Setup, tmp_pa
     assert frame.attrs["simulated"] is True
 
 
-def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, tmp_path: Path) -> None:
-    result = process(record_run(setup, tmp_path / "run.h5"))
+def test_a_notebook_shows_figure_table_and_that_it_was_simulated(measured: Path) -> None:
+    result = open_run(measured).estimate()
     page = result._repr_html_()
     assert "SIMULATED" in page
     assert page.count('src="data:image/svg+xml;base64,') == 2
     assert '<img alt="Amplitude in nm: ' in page
     assert str(symbols(headline_sentence(result))) in page
-    run_page = open_run(tmp_path / "run.h5")._repr_html_()
+    run_page = open_run(measured)._repr_html_()
     assert "2 of 2 shots, simulated" in run_page
     assert '<img alt="Timing over ' in run_page
     assert check("table-1")._repr_html_().count('<img alt="Timing over ') == 2
@@ -541,9 +546,8 @@ def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, t
     assert "<script>" not in hostile
 
 
-def test_settings_are_kept_shot_by_shot(setup: Setup, tmp_path: Path) -> None:
-    path = record_run(setup, tmp_path / "run.h5")
-    snapshots = read_snapshots(path)
+def test_settings_are_kept_shot_by_shot(setup: Setup, measured: Path) -> None:
+    snapshots = read_snapshots(measured)
     assert [set(snapshot) for snapshot in snapshots] == [set(setup.plan.roles)] * 2
-    with h5py.File(path) as file:
+    with h5py.File(measured) as file:
         assert json.loads(file["snapshot"].asstr()[1]) == snapshots[1]

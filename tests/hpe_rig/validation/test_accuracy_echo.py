@@ -14,7 +14,7 @@ from hpe_rig.validation.accuracy.work_precision import Point, draw_points, write
 
 @pytest.fixture(scope="module")
 def rows() -> list[Measurement]:
-    return list(measurements((100, 400), (10, 30), (1e-2, 1e-8), longest_s=0.1))
+    return list(measurements((100,), (10, 30), (1e-2, 1e-8), longest_s=0.1))
 
 
 def test_the_error_of_every_evaluation_is_within_tolerance_or_rounding(rows: list[Measurement]) -> None:

@@ -59,7 +59,9 @@ def fits(prior: MediumPrior, estimator: str, count: int = 60) -> tuple[list[Harm
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
-def test_least_squares_and_the_papers_chain_state_their_aliasing(prior: MediumPrior, estimator: str) -> None:
+def test_least_squares_and_the_papers_chain_state_and_correct_their_aliasing(
+    prior: MediumPrior, estimator: str
+) -> None:
     each, true = fits(prior, estimator)
     error = np.array([fit.state[:20] for fit in each]) - true
     stated = np.array([np.diagonal(fit.state_covariance)[:20] for fit in each])
@@ -68,11 +70,6 @@ def test_least_squares_and_the_papers_chain_state_their_aliasing(prior: MediumPr
     assert np.mean(error**2 / stated) == pytest.approx(1.0, abs=0.55)
     assert np.mean(error**2) > 100 * NOISE_M**2 * 2 / PULSES.size
     assert aliasing.shape == (60, 10)
-
-
-@pytest.mark.parametrize("estimator", ["coherent", pytest.param("cross_spectrum", marks=pytest.mark.slow)])
-def test_the_expected_aliasing_is_corrected(prior: MediumPrior, estimator: str) -> None:
-    each, true = fits(prior, estimator)
     aliasing_corrected = [fit.aliasing_corrected for fit in each if fit.aliasing_corrected is not None]
     before, after = (np.array([fit.state[:20] for fit in some]) - true for some in (each, aliasing_corrected))
     stated = np.array([np.diagonal(fit.state_covariance)[:20] for fit in aliasing_corrected])

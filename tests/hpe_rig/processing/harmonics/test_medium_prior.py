@@ -5,8 +5,10 @@ Truths are computed apart from the code: the twin's transfer function or plain q
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,12 +20,9 @@ from hpe_rig.medium import (
     PushForce,
     TrackedRegion,
     aperture_force,
-    medium_ensemble,
     shear_motion,
     tracked_motion,
 )
-from hpe_rig.medium.ensemble import prior_modulus
-from hpe_rig.medium.focal_field import focal_displacement
 from hpe_rig.processing import Motion, harmonic_columns, least_squares
 from hpe_rig.processing.harmonics.medium_fit import (
     MIN_RELATIVE_MOTION,
@@ -35,8 +34,6 @@ from hpe_rig.processing.harmonics.medium_fit import (
 from hpe_rig.processing.harmonics.medium_prior import medium_prior
 from hpe_rig.processing.harmonics.prior_evidence import DEVIATION_FACTORS
 from hpe_rig.processing.harmonics.projected_prior import HARMONIC_DEVIATION, project_prior
-from sim_backend.motion.specimen import frequency_response
-from sim_backend.settings import Specimen
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -170,39 +167,10 @@ IN_RANGE = {
 FLUID = {"maxwell": maxwell(9e3, 5.0), "thick maxwell": maxwell(9e3, 20.0), "thin maxwell": maxwell(20e3, 2.0)}
 
 
-def test_the_ensembles_displacement_is_the_twins() -> None:
-    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
-    frequency_hz = np.geomspace(50, 40e3, 40)
-    modulus_pa = 9e3 + 2j * np.pi * frequency_hz * 2.0
-    shear_k2 = 1000.0 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
-    result = (
-        focal_displacement(shear_k2[None], np.array([FORCE_M[0] ** 2]), np.array([FORCE_M[2] ** 2]))[0][0] / modulus_pa
-    )
-    truth = frequency_response(specimen, FORCE_M, frequency_hz)
-    np.testing.assert_allclose(result / result[0], truth / truth[0], rtol=5e-4)
-
-
-def test_the_displacements_slope_is_its_change_with_the_width() -> None:
-    """Central differences of 1e-3: their own error is of the order of its square."""
-    frequency_hz = np.geomspace(50, 40e3, 40)
-    modulus_pa = np.array([1e3 + 2j * np.pi * frequency_hz * 0.005, 60e3 + 2j * np.pi * frequency_hz * 15.0])
-    shear_k2, lateral, axial = 1000.0 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa, FORCE_M[0] ** 2, FORCE_M[2] ** 2
-
-    def at_width(scale: float) -> ComplexArray:
-        return focal_displacement(shear_k2, np.full(2, scale * lateral), np.full(2, axial), 96)[0]
-
-    value, slope = focal_displacement(shear_k2, np.full(2, lateral), np.full(2, axial), 96)
-    np.testing.assert_array_equal(value, at_width(1.0))
-    change = (at_width(1.001) - at_width(0.999)) / 2e-3
-    assert np.abs(lateral * slope / change - 1).max() < 1e-5
-
-
-def test_between_its_nodes_a_medium_is_interpolated() -> None:
-    coarse = medium_ensemble(BEAMS, 100.0, 4e4)
-    fine = medium_ensemble(BEAMS, 100.0, 3.9e4)
-    between = coarse.tracked @ coarse.interpolation(fine.node_hz).T
-    largest = np.abs(coarse.tracked).max(axis=1, keepdims=True)
-    assert np.abs((between - fine.tracked) / largest).max() < 3e-4
+def default_of(media: Iterable[str]) -> list[Any]:
+    """Return names of media; those but one of each law are slow."""
+    slow = {"2 kPa", "5 kPa", "15 kPa", "30 kPa", "soft elastic", "thick maxwell", "thin maxwell"}
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in slow else []) for name in media]
 
 
 def test_columns_are_those_of_every_harmonic() -> None:
@@ -214,8 +182,16 @@ def test_columns_are_those_of_every_harmonic() -> None:
     np.testing.assert_allclose(columns, every[:, :20], atol=1e-11)
 
 
-@pytest.mark.parametrize("train", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
-@pytest.mark.parametrize("noise_m", [pytest.param(77e-9, marks=pytest.mark.slow), 7.7e-9])
+@pytest.mark.parametrize(
+    ("train", "noise_m"),
+    [
+        (AT_4000, 7.7e-9),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in ((SHIFTING, 7.7e-9), (SHIFTING, 77e-9), (AT_4000, 77e-9))
+        ),
+    ],
+)
 def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(train: Pulses, noise_m: float) -> None:
     motion = noisy(train, harmonics(voigt(9e3, 2.0))[0], noise_m, 1)
     result = medium_fit(motion, WANTED_HZ, PRIOR)
@@ -250,7 +226,7 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(train: Puls
     np.testing.assert_array_equal(filtered.fit.state, result.fit.state)
 
 
-@pytest.mark.parametrize("name", IN_RANGE)
+@pytest.mark.parametrize("name", default_of(IN_RANGE))
 def test_shifting_pulses_leave_half_a_percent_of_any_medium(name: str) -> None:
     wave, _ = harmonics(IN_RANGE[name])
     for noise_m in (77e-9, 7.7e-9):
@@ -259,7 +235,7 @@ def test_shifting_pulses_leave_half_a_percent_of_any_medium(name: str) -> None:
         assert degrees < 0.3
 
 
-@pytest.mark.parametrize("name", FLUID)
+@pytest.mark.parametrize("name", default_of(FLUID))
 def test_shifting_pulses_leave_a_percent_of_a_fluid(name: str) -> None:
     wave, _ = harmonics(FLUID[name])
     percent, degrees = largest_bias(medium_fit(noisy(SHIFTING, wave, 77e-9, 10), WANTED_HZ, PRIOR), wave)
@@ -267,7 +243,7 @@ def test_shifting_pulses_leave_a_percent_of_a_fluid(name: str) -> None:
     assert degrees < 1.0
 
 
-@pytest.mark.parametrize("wider", [0.5, 2.0])
+@pytest.mark.parametrize("wider", [pytest.param(0.5, marks=pytest.mark.slow), 2.0])
 def test_the_forces_width_may_be_wrong_by_two(wider: float) -> None:
     wave, _ = harmonics(IN_RANGE["9 kPa"], wider)
     percent, degrees = largest_bias(medium_fit(noisy(SHIFTING, wave, 77e-9, 10), WANTED_HZ, PRIOR), wave)
@@ -275,7 +251,7 @@ def test_the_forces_width_may_be_wrong_by_two(wider: float) -> None:
     assert degrees < 0.3
 
 
-@pytest.mark.parametrize("name", ["2 kPa", "9 kPa", "15 kPa"])
+@pytest.mark.parametrize("name", default_of(("2 kPa", "9 kPa", "15 kPa")))
 def test_synchronous_pulses_err_by_half_a_percent_in_voigt_media_where_least_squares_err_by_ten(name: str) -> None:
     wave, _ = harmonics(IN_RANGE[name])
     percent, degrees = largest_bias(medium_fit(noisy(AT_4000, wave, 7.7e-9, 10), WANTED_HZ, PRIOR), wave)
@@ -335,7 +311,7 @@ def _many(train: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tupl
         pytest.param(SHIFTING, 7.7e-9, 120, marks=pytest.mark.slow),
         pytest.param(AT_4000, 77e-9, 120, marks=pytest.mark.slow),
         pytest.param(AT_4000, 7.7e-9, 120, marks=pytest.mark.slow),
-        (AT_4000, 7.7e-9, 60),
+        (AT_4000, 7.7e-9, 40),
     ],
 )
 def test_intervals_cover_media_of_every_family(train: Pulses, noise_m: float, count: int) -> None:
@@ -347,9 +323,9 @@ def test_intervals_cover_media_of_every_family(train: Pulses, noise_m: float, co
 
 
 def test_the_peak_s_phase_is_covered_where_aliasing_and_averaging_are_uncertain_together() -> None:
-    noise = 7.7e-9 * np.random.default_rng(8).standard_normal((60, AT_4000.time_s.size))
+    noise = 7.7e-9 * np.random.default_rng(8).standard_normal((40, AT_4000.time_s.size))
     ratios = []
-    for (tracked, peak), each in zip(_drawn_pairs(60), noise, strict=True):
+    for (tracked, peak), each in zip(_drawn_pairs(40), noise, strict=True):
         result = medium_fit(AT_4000.motion(at(AT_4000, tracked) + each), WANTED_HZ, PRIOR).fit
         assert result.medium is not None
         state = result.state[::2] + 1j * result.state[1::2]
@@ -365,7 +341,7 @@ def test_the_peak_s_phase_is_covered_where_aliasing_and_averaging_are_uncertain_
     "drive", [0.01, pytest.param(0.1, marks=pytest.mark.slow), pytest.param(10.0, marks=pytest.mark.slow)]
 )
 def test_drives_of_any_size_are_covered(drive: float) -> None:
-    over_u, _ = _many(SHIFTING, 77e-9, 60, drive)
+    over_u, _ = _many(SHIFTING, 77e-9, 40, drive)
     assert 0.75 < np.mean(over_u**2) < 1.3
 
 
@@ -382,7 +358,7 @@ def test_a_hundredfold_drive_is_off_by_less_than_a_fifth_of_a_percent() -> None:
 def test_what_every_period_repeats_is_no_medium(noise_m: float) -> None:
     # a receiver's error of 0.1 % of the rms motion, the same at an instant in all periods, so that no residual shows it
     generator, over_u, significance = np.random.default_rng(3), [], []
-    for wave in _drawn(60)[:40]:
+    for wave in _drawn(40):
         repeated = 1e-3 * RMS_M * np.tile(generator.standard_normal(40), AT_4000.time_s.size // 40)
         noise = noise_m * generator.standard_normal(AT_4000.time_s.size)
         result = medium_fit(AT_4000.motion(at(AT_4000, wave) + repeated + noise), WANTED_HZ, PRIOR)
@@ -402,12 +378,12 @@ def test_the_scale_is_the_rms_displacement() -> None:
 
 
 def test_noise_alone_is_no_motion() -> None:
-    noise = 77e-9 * np.random.default_rng(5).standard_normal((500, AT_4000.time_s.size))
+    noise = 77e-9 * np.random.default_rng(5).standard_normal((120, AT_4000.time_s.size))
     for train in (SHIFTING, AT_4000):
         fit = medium_fit(train.motion(noise[:, : train.time_s.size]), WANTED_HZ, PRIOR).fit
         above = fit.amplitude_m > 3 * np.sqrt(fit.covariance[..., 0, 0])
-        # 1.1 % by chance; ten correlated harmonics of 500 trains are good to 0.4 %
-        assert np.mean(above) < 0.011 + 3 * 0.004
+        # 1.1 % by chance; ten correlated harmonics of 120 trains are good to 0.8 %
+        assert np.mean(above) < 0.011 + 3 * 0.008
 
 
 def test_the_evidence_detects_a_medium_with_a_wall() -> None:
@@ -473,7 +449,7 @@ def test_a_known_medium_narrows_the_aliasing_of_synchronous_pulses() -> None:
     assert np.all(np.abs(off.real) < 2 * np.sqrt(covariance[..., 0, 0]))
 
 
-@pytest.mark.parametrize("name", [*IN_RANGE, *FLUID])
+@pytest.mark.parametrize("name", default_of(IN_RANGE | FLUID))
 def test_the_peak_follows_from_the_media_that_fit(name: str) -> None:
     wave, peak = harmonics({**IN_RANGE, **FLUID}[name])
     mean, covariance = peak_of(medium_fit(noisy(SHIFTING, wave, 77e-9, 3), WANTED_HZ, PRIOR))
@@ -504,10 +480,10 @@ def test_a_drifting_background_is_removed() -> None:
 
 def test_accumulated_steps_state_their_random_walk() -> None:
     generator, wave, walk = np.random.default_rng(3), harmonics(IN_RANGE["9 kPa"])[0], 0.02
-    shape = (200, SHIFTING.time_s.size)
+    shape = (100, SHIFTING.time_s.size)
     noise = 40e-9 * generator.standard_normal(shape)
     noise += np.cumsum(np.sqrt(walk) * 40e-9 * generator.standard_normal(shape), axis=-1)
-    motion = replace(SHIFTING.motion(at(SHIFTING, wave) + noise), step_noise_ratio=np.full(200, walk))
+    motion = replace(SHIFTING.motion(at(SHIFTING, wave) + noise), step_noise_ratio=np.full(100, walk))
     over_u = errors(medium_fit(motion, WANTED_HZ, PRIOR), wave)
     assert 0.75 < np.mean(over_u**2) < 1.3
 
@@ -521,83 +497,6 @@ def test_frequencies_off_the_bursts_harmonics_and_too_few_pulses_are_refused() -
     few[:3] = True
     with pytest.raises(ValueError, match="3 valid pulses: too few"):
         medium_fit(replace(motion, valid=few), WANTED_HZ, PRIOR)
-
-
-def test_a_train_of_the_same_times_is_not_worked_out_again() -> None:
-    first = project_prior(PRIOR, SHIFTING.time_s, SHIFTING.valid, WANTED_HZ)
-    assert project_prior(PRIOR, SHIFTING.time_s.copy(), SHIFTING.valid.copy(), WANTED_HZ) is first
-    assert medium_prior(BEAMS, RATE_HZ, LENGTH_S) is medium_prior(BEAMS, RATE_HZ, LENGTH_S)
-
-
-@pytest.mark.parametrize(("rate_hz", "pulse_rate_hz", "instants"), [(100, 5000, 50), (100, 200, 2), (50, 3990, 399)])
-def test_instants_are_counted_for_trains_of_any_length(rate_hz: float, pulse_rate_hz: float, instants: int) -> None:
-    prior = replace(PRIOR, burst_rate_hz=rate_hz)
-    for delay_s in (0.0, 131e-6):
-        # a minute, in whose last periods an angle is known to 1e-11, and the middle of a period, where it turns over
-        time_s = delay_s + np.arange(round(60 * pulse_rate_hz)) / pulse_rate_hz
-        assert prior.instant_count(time_s) == pytest.approx(instants, rel=1e-9)
-
-
-def test_imported_times_with_jitter_count_as_one_instant() -> None:
-    """50 ns: far less than any harmonic takes, and what the model leaves untold is the same in every period."""
-    time_s = np.arange(6000) / 5000.0 + 50e-9 * np.random.default_rng(5).standard_normal(6000)
-    assert PRIOR.instant_count(time_s) == pytest.approx(50, rel=1e-9)
-    everywhere = np.sort(np.random.default_rng(6).uniform(0, 1, 40_000))
-    assert 6_500 < PRIOR.instant_count(everywhere) < 10_000
-
-
-@pytest.mark.parametrize("order", [0, 1])
-def test_repeated_instants_give_the_projection_of_separate_pulses(order: int) -> None:
-    """One row for each instant; with a background of order 1, one for each pulse."""
-    train = AT_4000
-    projected = project_prior(PRIOR, train.time_s, train.valid, WANTED_HZ, order)
-    used = train.time_s[train.valid]
-    rows, wanted_columns = PRIOR.displacement_matrices(used, range(10))
-    power = np.sum((PRIOR.states_of_response(range(10)) @ PRIOR.response_root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
-    factor = np.hstack([rows @ PRIOR.response_root, wanted_columns * HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2))])
-    moving = factor - projected.background @ (projected.background.T @ factor)
-    left, value = projected.patterns, projected.pattern_sd
-    # A F F' A' = U diag(l²) U', which a decomposition has whatever its signs
-    np.testing.assert_allclose((left * value**2) @ left.T, moving @ moving.T, atol=1e-9 * value[0] ** 2)
-    np.testing.assert_allclose(left.T @ left, np.eye(value.size), atol=1e-4)
-
-
-@pytest.mark.parametrize("train", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
-def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(train: Pulses) -> None:
-    projected = project_prior(PRIOR, train.time_s, train.valid, WANTED_HZ)
-    instant = np.round(train.time_s[train.valid] * RATE_HZ % 1, 9)
-    _, first, repeats = np.unique(instant, return_index=True, return_inverse=True)
-    shared_error = np.random.default_rng(9).standard_normal((400, first.size))[:, repeats]
-    shared_error -= (shared_error @ projected.background) @ projected.background.T
-    left = shared_error - (shared_error @ projected.patterns) @ projected.patterns.T
-    degrees = instant.size - 1 - projected.pattern_sd.size
-    residual = np.mean(np.sum(left**2, axis=-1)) / degrees
-    # all of it: of the mean over an instant's pulses, counted for each as if they were independent
-    assert residual + projected.hidden_variance_factor == pytest.approx(instant.size / first.size, rel=0.02)
-
-
-def test_pulses_at_distinct_instants_have_no_hidden_model_error() -> None:
-    train = pulses(3989.0, 131e-6)
-    assert project_prior(PRIOR, train.time_s, train.valid, WANTED_HZ).hidden_variance_factor == pytest.approx(
-        0, abs=1e-9
-    )
-
-
-def test_a_force_that_is_no_gaussian_moves_the_ensemble_as_it_moves_media() -> None:
-    beams = replace(BEAMS, force_width_m=(0.34e-3, 0.34e-3, 3.6e-3), width_log_sd=0.0)
-    force = aperture_force(45e-3, 70e-3, 3e6, 1540.0, 0.5)
-    plain, shaped = (medium_ensemble(each, RATE_HZ, 4e4) for each in (beams, replace(beams, force=force)))
-    # what is tracked of the peak stays that of the Gaussian
-    np.testing.assert_allclose(shaped.peak / shaped.tracked, plain.peak / plain.tracked, rtol=1e-9)
-    region, members = (
-        TrackedRegion(np.zeros(1), 0.0, TRACKING_M[0] ** 2 / 2, DEPTH_M**2),
-        np.flatnonzero(plain.voigt)[:4],
-    )
-    for member in (*members, 3):
-        modulus_pa = prior_modulus(np.asarray(2j * np.pi * plain.node_hz), 240)[member]
-        wanted_columns = shear_motion(HarmonicMedium(plain.node_hz, modulus_pa), force, region).value[:, 0]
-        ratio = shaped.tracked[member] / wanted_columns
-        assert np.abs(ratio / ratio.mean() - 1).max() < 4e-3
 
 
 @pytest.mark.parametrize("modulus", [pytest.param(voigt(9e3, 0.02), marks=pytest.mark.slow), maxwell(12e3, 5.0)])
@@ -676,27 +575,3 @@ def test_off_axis_motion_faster_than_8_khz_aliases_onto_no_harmonic(lateral_m: f
     result = medium_fit(noisy(SHIFTING, wave, 1e-9, 20), WANTED_HZ, medium_prior(beams, RATE_HZ, LENGTH_S))
     # Draws and their negatives have no noise on the mean. Harmonics to 8 kHz alone leave 3.1 and 0.16 nm.
     assert np.abs(result.fit.state.mean(axis=0) - wanted(wave)).max() < 0.1e-9
-
-
-def test_ensembles_of_all_places_at_once_are_those_of_one_at_a_time() -> None:
-    places_m = (1e-9, 1e-3, 6e-3)
-    beams = [replace(BEAMS, lateral_offset_m=lateral_m) for lateral_m in places_m]
-    alone = [medium_ensemble(each, 100.0, 2000.0) for each in beams]
-    together = [medium_ensemble(replace(each, offsets_of_joint_fit_m=places_m), 100.0, 2000.0) for each in beams]
-    # both good to 1e-5 of the largest displacement, which is that of the focus
-    allowed = 2e-5 * np.abs(alone[0].peak)
-    for one, other in zip(alone, together, strict=True):
-        assert (np.abs(one.tracked - other.tracked) < allowed).all()
-        assert (np.abs(one.peak - other.peak) < allowed).all()
-
-
-def test_off_axis_the_ensemble_is_interpolated_to_1e_3_of_the_motion() -> None:
-    beams, harmonic = replace(BEAMS, lateral_offset_m=2.25e-3), np.arange(81, 401)
-    ensemble = medium_ensemble(beams, RATE_HZ, 4e4)
-    member = int(np.flatnonzero(ensemble.voigt)[1])
-    # the same nodes alone, each harmonic for itself
-    other = medium_ensemble(beams, RATE_HZ * 81, RATE_HZ * 81 * 2)
-    assert other.harmonic_nodes == other.node_hz.size == 2
-    between = (ensemble.tracked @ ensemble.interpolation(other.node_hz).T)[member]
-    rms = np.sqrt(np.sum(np.abs(ensemble.tracked @ ensemble.interpolation(RATE_HZ * harmonic).T) ** 2, axis=1))[member]
-    assert np.abs(between - other.tracked[member]).max() < 1e-3 * rms

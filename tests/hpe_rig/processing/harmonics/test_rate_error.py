@@ -46,7 +46,7 @@ def test_error_and_phases_with_a_prior_of_media_are_within_their_uncertainties(e
     truth_m = medium_motion(prior)
     time_s = 0.05 + 131e-6 + np.arange(1596) / 3990.0  # 0.4 s
     scores, phase_scores = [], []
-    for seed in range(5):
+    for seed in range(3):
         motion = sampled(truth_m, 100.0, time_s, error, seed)
         rate = estimate_rate_error(motion, WANTED_HZ, RateError(0.0, 50e-6), also_hz=NONE_HZ, prior=prior)
         scores.append((rate.value - error) / rate.uncertainty)
@@ -57,9 +57,9 @@ def test_error_and_phases_with_a_prior_of_media_are_within_their_uncertainties(e
         best, fast, slow = map(phasors, fits)
         u_rad = np.hypot(np.sqrt(fits[0].covariance[:, 1, 1]), ((fast - slow) / 2 / best).imag)
         phase_scores.append(np.angle(best / truth_m[:10]) / u_rad)
-    # Mean squares of 5 draws of a standard normal deviate: below 3.02 with 99 % (chi-square).
-    assert np.mean(np.square(scores)) < 3.02
-    assert np.mean(np.square(phase_scores)) < 3.02
+    # Mean squares of 3 draws of a standard normal deviate: below 3.78 with 99 % (chi-square).
+    assert np.mean(np.square(scores)) < 3.78
+    assert np.mean(np.square(phase_scores)) < 3.78
 
 
 def test_uncertainties_of_frequency_and_phase_are_the_bounds_of_the_literature() -> None:
@@ -82,7 +82,7 @@ def test_uncertainties_of_frequency_and_phase_are_the_bounds_of_the_literature()
     assert known_rad2 + clock_rad**2 == pytest.approx(4 * known_rad2, rel=0.05)
 
 
-@pytest.mark.parametrize("error", [-5e-5, 2e-6, 1.3e-4])
+@pytest.mark.parametrize("error", [2e-6, 1.3e-4])
 def test_a_scan_finds_errors_of_many_turns(error: float) -> None:
     """100 s at 200 Hz and 1.3e-4 are 2.6 turns: without a scan Gauss-Newton stays at a side maximum."""
     time_s = np.arange(50_000) / 500.0

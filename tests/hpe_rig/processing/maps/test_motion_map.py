@@ -165,7 +165,7 @@ def test_the_compiled_kernels_differ_from_numpy_by_rounding_only(monkeypatch: py
     np.testing.assert_allclose(compiled.velocity_m_per_s, plain.velocity_m_per_s, rtol=1e-4, atol=1e-8)
 
 
-@pytest.mark.parametrize("scale", [1.0, 1e-24, 1e24])
+@pytest.mark.parametrize("scale", [1.0, *(pytest.param(scale, marks=pytest.mark.slow) for scale in (1e-24, 1e24))])
 @pytest.mark.parametrize("compiled", [False, True])
 def test_phases_equal_those_in_double_precision(compiled: bool, scale: float) -> None:
     pytest.importorskip("numba")
@@ -211,8 +211,7 @@ def test_a_recording_becomes_a_dataset_and_a_figure(tmp_path: Path) -> None:
     np.testing.assert_allclose(dataset.depth, (np.arange(200) + 0.5) * gate_m, rtol=1e-12)
     assert "SHA-256" in dataset.attrs["source"]
     assert "600 of 600 pixels estimated" in str(result)
-    result.figure().savefig(tmp_path / "map.png")
-    assert (tmp_path / "map.png").stat().st_size > 10_000
+    assert result.figure().axes[0].get_ylabel() == "depth / mm"
 
 
 @pytest.mark.parametrize(
