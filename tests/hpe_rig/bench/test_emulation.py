@@ -73,7 +73,6 @@ def test_a_real_bench_file_is_rehearsed_with_its_serials_wiring_and_limits(
     shown = CliRunner().invoke(app, ["bench", str(emulated), "--json"])
     assert shown.exit_code == 0, shown.output
     assert all(serial in shown.stdout for serial in SERIALS.values())
-    assert CliRunner().invoke(app, ["commission", str(emulated)]).exit_code == 0
     run = read_run(record_run(prepare("table-1", emulated), tmp_path / "run.h5"))
     assert (run.status, run.simulated) == ("complete", True)
 

@@ -58,7 +58,7 @@ def test_the_sum_of_gaussians_equals_the_intensity_within_the_force(force: PushF
 @pytest.mark.parametrize(
     ("mu1", "mu2", "offsets_m"),
     [
-        (9e3, 2.0, OFFSETS_M),
+        (9e3, 2.0, OFFSETS_M[1:]),
         *(
             pytest.param(*each, np.array([0.0, 20e-3]), marks=pytest.mark.slow)
             for each in ((500.0, 0.0), (500e3, 50.0))
@@ -71,10 +71,10 @@ def test_motion_under_the_same_gaussians_equals_the_twins_to_1e_9(
     twin_force = GaussianSum(force.across_m, force.along_m, force.centre_m, force.weights)
     specimen = Specimen(shear_modulus_pa=mu1, shear_viscosity_pa_s=mu2)
     medium = HarmonicMedium.voigt(mu1, mu2, FREQUENCY_HZ)
-    for axial_m in (0.0, 1.5e-3):
-        twins = field_transfer(specimen, twin_force, offsets_m, np.array([axial_m]), FREQUENCY_HZ)[:, :, 0]
+    twins = field_transfer(specimen, twin_force, offsets_m, np.array([0.0, 1.5e-3]), FREQUENCY_HZ)
+    for axial_m, twin in zip((0.0, 1.5e-3), np.moveaxis(twins, -1, 0), strict=True):
         own = shear_motion(medium, force, TrackedRegion(offsets_m, axial_m)).value
-        assert (np.abs(own - twins).max(axis=1) < 1e-9 * np.abs(twins).max(axis=1)).all()
+        assert (np.abs(own - twin).max(axis=1) < 1e-9 * np.abs(twin).max(axis=1)).all()
 
 
 def test_motion_equals_the_twins_within_the_uncertainty_of_the_force(force: PushForce) -> None:

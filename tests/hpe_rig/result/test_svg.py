@@ -35,12 +35,10 @@ def test_a_map_as_svg_has_no_colour_that_stays_light() -> None:
         velocity_uncertainty_m_per_s=each, residual_m=each, power=each, bad=np.zeros((2, 3), np.uint8), origin="",
         lines_are_placed=False,
     )  # fmt: skip
-    figure = found.figure()
+    figure = replace(found, velocity_m_per_s=0.2 * each / 1e-6).figure()
     labels = [axes.get_ylabel() for axes in figure.axes[4:]]
-    assert (labels[0], labels[3]) == ("amplitude / nm", "velocity / (nm/s)")
-    faster = replace(found, velocity_m_per_s=0.2 * each / 1e-6).figure()
-    assert faster.axes[7].get_ylabel() == "velocity / (mm/s)"
-    assert faster.axes[7].get_ylim()[1] == pytest.approx(200)
+    assert (labels[0], labels[3]) == ("amplitude / nm", "velocity / (mm/s)")
+    assert figure.axes[7].get_ylim()[1] == pytest.approx(200)
     _, _, shapes = figure_bytes(figure, Path("map.svg")).decode().partition("</style>")
     assert set(re.findall(r"(?:fill|stroke): (#\w+)", shapes)) - set(ON_DARK) == set()
 

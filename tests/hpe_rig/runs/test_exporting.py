@@ -87,7 +87,6 @@ def test_an_exported_run_is_imported_with_the_same_codes_and_motion(
             other_timeline.pulse_onset_s - other_zero_s, timeline.pulse_onset_s - zero_s, atol=1e-13
         )
         assert other_timeline.record_offset_s == pytest.approx(timeline.record_offset_s, rel=1e-12)
-        np.testing.assert_allclose(again.displacement_m(shot), run.displacement_m(shot), rtol=1e-9, atol=1e-18)
     for estimate, other_estimate in zip(estimates, again.estimate().shots[0].estimates, strict=True):
         assert other_estimate.amplitude_m == pytest.approx(estimate.amplitude_m, rel=1e-9)
         assert other_estimate.phase_rad == pytest.approx(estimate.phase_rad, abs=1e-9)
