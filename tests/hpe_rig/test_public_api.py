@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -303,14 +302,14 @@ def test_the_first_scene_of_the_readme_runs_on_the_default_muscle_and_states_it(
     monkeypatch.chdir(tmp_path)
     Path("first.toml").write_text(first_scene(), encoding="utf-8")
     said = f"simulated specimen: {DEFAULT_SPECIMEN}"
-    done = CliRunner().invoke(app, ["run", "first.toml", "--json"])
+    done = CliRunner().invoke(app, ["run", "first.toml"])
     assert done.exit_code == 0, done.output
     assert said in done.output
     stored = hpe.open_run("first.h5").stored
     assert (stored.status, stored.simulated) == ("complete", True)
     # Only the twin uses the default specimen; the run file contains the scene as written.
     assert stored.scene_toml == first_scene()
-    result = json.loads(done.stdout)
+    result = hpe.open_run("first.h5").estimate().as_dict()
     assert result["simulated_specimen"] == DEFAULT_SPECIMEN
     for estimate in result["shots"][0]["estimates"][:5]:
         assert abs(estimate["amplitude_error"]) < 0.03
