@@ -144,17 +144,21 @@ def drift_of(
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     # ``steady`` is the motion minus the present estimate of its change, which the ``unknowns`` describe.
-    time_s, unknowns, steady = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion
+    time_s, unknowns, steady, step_u = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion, np.inf
     for iteration in range(max_iterations):
-        harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
-        products, moments, degrees = _normal_equations(harmonics, basis, steady, unknowns)
+        next_harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
+        products, moments, degrees = _normal_equations(next_harmonics, basis, steady, unknowns)
         if iteration == 0:
             probability, harmonic_probability = _significance(products, moments, degrees)
         # Posterior of the unknowns, which have a prior variance of one.
-        previous, covariance = unknowns, np.linalg.inv(products + np.eye(unknowns.size))
-        unknowns = covariance @ moments
-        converged = np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance)))
-        if converged or iteration == max_iterations - 1:
+        next_covariance = np.linalg.inv(products + np.eye(unknowns.size))
+        next_unknowns = next_covariance @ moments
+        next_step_u = float(np.max(np.abs(next_unknowns - unknowns) / np.sqrt(np.diag(next_covariance))))
+        # In short trains the patterns that the fit uses alternate with the estimate: steps that grow may diverge.
+        if next_step_u > step_u:
+            break
+        harmonics, unknowns, covariance, step_u = next_harmonics, next_unknowns, next_covariance, next_step_u
+        if step_u < CONVERGED_U or iteration == max_iterations - 1:
             break
         # Positions in the train run from -1 to 1. The steady motion has the phasors of the middle, position 0.
         drifting_m = harmonics.displacement_m(time_s, _positions(time_s), unknowns)
