@@ -24,9 +24,9 @@ The commands of the simulated generators with their arguments and queries, for p
   sent, the query, and the reply or the first error in the queue. Two more tests send every command in every
   spelling, and send every reply back as an argument.
 * **Not simulated.** Modulation, sweep, marker, arbitrary waveforms, stored states and the trigger timer are refused
-  with -241. The outputs are sine, square, pulse and DC. Ramp, triangle, noise and gated bursts can be set and switched
-  on, but they do not reach the transducer. Phases are stored without effect. The second channel has settings but no
-  connector on any bench.
+  with -241; switching one off is accepted. The outputs are sine, square, pulse and DC. Ramp, triangle, noise and gated
+  bursts can be set and switched on, but they do not reach the transducer. Phases are stored without effect. The second
+  channel has settings but no connector on any bench.
 * **RS-232.** An instrument that was never sent `SYST:REM` answers queries and refuses settings with 550.
 """
 

@@ -21,7 +21,14 @@ from sim_backend.generator.kinds import (
 from sim_backend.generator.levels import load_divider
 from sim_backend.generator.models import Model
 from sim_backend.generator.registers import Coerced, Registers
-from sim_backend.generator.scpi_text import boolean, number_with_unit, only_argument, refuse_arguments, unquoted
+from sim_backend.generator.scpi_text import (
+    boolean,
+    not_simulated,
+    number_with_unit,
+    only_argument,
+    refuse_arguments,
+    unquoted,
+)
 
 
 def _amplitude() -> SettingCommand:
@@ -187,6 +194,17 @@ def _without_argument(**settings: object) -> SettingCommand:
     return SettingCommand(store_settings, None)
 
 
+def _always_off(header: str) -> SettingCommand:
+    """Return the switch of a function that is not simulated: off is accepted, on is refused with -241."""
+
+    def write_state(state: Registers, on: bool) -> Coerced:
+        if on:
+            raise not_simulated(header)
+        return Coerced(state)
+
+    return replace(switch(lambda state: False, write_state), accepts="OFF")
+
+
 FREQUENCY = numeric("HZ", timing.frequency_limits_hz, "frequency_hz", _put_frequency)
 AMPLITUDE = _amplitude()
 OFFSET = _level(_offset_limits, "offset_v", levels.set_offset)
@@ -243,6 +261,9 @@ SETTINGS: Mapping[str, SettingCommand] = {
         "S", attrgetter("model.delay_limits_s"), "delay_s", "trigger delay", timing.settle_burst
     ),
     "UNIT:ANGLe": choice("DEGree RADian", "angle_unit"),
+    **{f"[SOURce<n>:]{name}:STATe": _always_off(f"{name}:STAT") for name in ("AM", "FM", "FSKey", "SWEep")},
+    "[SOURce<n>:]MARKer[:STATe]": _always_off("MARK"),
+    "DISPlay[:WINDow][:STATe]": switch("display"),
     "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
     "DISPlay[:WINDow]:TEXT:CLEar": _without_argument(display_text=""),
     "SYSTem:BEEPer:STATe": switch("beeper"),

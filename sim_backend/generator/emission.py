@@ -35,7 +35,7 @@ MAX_STEPS = 20_000_000
 FAR_PS = 1 << 61
 WITHOUT_EFFECT = frozenset(
     {"unit", "load_ohm", "sync", "trigger_output", "trigger_output_slope", "range_auto", "angle_unit"}
-    | {"display_text", "beeper", "phase_deg", "pulse_hold"}
+    | {"display", "display_text", "beeper", "phase_deg", "pulse_hold"}
 )
 """Registers that do not affect the output; the declared load changes displayed values alone."""
 

@@ -67,6 +67,7 @@ class Registers:
     trigger_slope: str = "POS"
     delay_s: float = 0.0
     angle_unit: str = "DEG"
+    display: bool = True
     display_text: str = ""
     beeper: bool = True
 

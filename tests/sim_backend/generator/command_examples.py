@@ -112,10 +112,18 @@ SYSTEM = {
     "SYSTem:REMote": Example("SYST:REM", error=514),
     "SYSTem:RWLock": Example("SYST:RWL", error=514),
     "SYSTem:COMMunicate:RLSTate": Example("SYST:COMM:RLST REM", "*ESR?", "+128"),
+    "DISPlay[:WINDow][:STATe]": Example("DISP OFF", "DISP?", "0"),
     "DISPlay[:WINDow]:TEXT[:DATA]": Example('DISP:TEXT "A;B"', "DISP:TEXT?", '"A;B"'),
     "DISPlay[:WINDow]:TEXT:CLEar": Example('DISP:TEXT "A";TEXT:CLE', "DISP:TEXT?", '""'),
     "STATus:QUEStionable:CONDition": Example("", "STAT:QUES:COND?", "+0"),
     "MEMory:STATe:NAME": Example("MEM:STAT:NAME 1,BENCH", "MEM:STAT:NAME? 1", '"BENCH"'),
+}
+OFF_ONLY = {
+    f"{SOURCE}AM:STATe": Example("AM:STAT OFF", "AM:STAT?", "0"),
+    f"{SOURCE}FM:STATe": Example("FM:STAT 0", "FM:STAT?", "0"),
+    f"{SOURCE}FSKey:STATe": Example("FSK:STAT OFF", "FSK:STAT?", "0"),
+    f"{SOURCE}SWEep:STATe": refused("SWE:STAT ON", "SWE:STAT?"),
+    f"{SOURCE}MARKer[:STATe]": Example("MARK OFF", "MARK?", "0"),
 }
 GROUPS = {
     "Common commands": COMMON,
@@ -123,6 +131,7 @@ GROUPS = {
     "Waveform and levels": WAVEFORM,
     "Bursts and triggers": BURST_AND_TRIGGER,
     "Output": OUTPUT,
+    "Functions that are always off": OFF_ONLY,
     "Status, system, display, memory": SYSTEM,
 }
 EXAMPLES = {form: example for group in GROUPS.values() for form, example in group.items()}

@@ -214,7 +214,8 @@ def test_a_header_that_the_twin_does_not_simulate_says_so_and_other_headers_are_
         "DATA:DAC VOLATILE, 1",
         "*RCL 1",
         "TRIG:TIM 2",
-        "DISP OFF",
+        "SOUR:SWE:STAT 1",
+        "MARK:FREQ 5",
         "AM:X?",
     ):
         generator.write(f"OUTP 1;:{message}")
