@@ -49,7 +49,14 @@ def run(
         from hpe_rig.measurement import prepare, provenance_now, record_run
         from hpe_rig.processing import estimate_run  # noqa: F401, used after the measurement
         from hpe_rig.runs import chosen_estimator, process
-        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
+        from hpe_rig.store import (
+            WriteOptions,
+            free_path,
+            new_run_id,
+            refuse_unwritable,
+            result_path,
+            results_of_other_runs,
+        )
 
     setup = prepare(scene, scene_options.bench, stages, changes=scene_options.changes)
     estimator = chosen_estimator(result.estimator, setup.scene.scene)
@@ -63,6 +70,8 @@ def run(
             record_run(setup, path, watched(observer), stages, options, move=move)
         with after_complete_run(path):
             show(process(path, result.estimator, stages), result)
+            for other in results_of_other_runs(path) if overwrite else ():
+                announce(f"{other}: of the run that was replaced, remove it or hpe-rig process {path} --estimator ...")
             if report:
                 from hpe_rig.report import write_report
 

@@ -32,6 +32,7 @@ from .listing import (
     list_runs as list_runs,
     listing_schema as listing_schema,
     matching_runs as matching_runs,
+    results_of_other_runs as results_of_other_runs,
 )
 from .lock import acquire as acquire, is_locked as is_locked
 from .map_file import write_map as write_map

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -113,6 +114,25 @@ def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[s
     return sorted(entries, key=lambda entry: entry.date), unreadable
 
 
+def results_of_other_runs(run: Path) -> list[Path]:
+    """Return the result files beside the run file ``run`` that are of another run, such as one that it replaced."""
+    digest = read_run(run).digest.encode()
+    return [path for path in _results_beside(run) if _run_digest(path) not in (b"", digest)]
+
+
+def _results_beside(run: Path) -> list[Path]:
+    return [path for path in run.parent.glob(f"{glob.escape(run.stem)}.*.h5") if kind_of(path) == "result"]
+
+
+def _run_digest(result: Path) -> bytes:
+    """Return the digest of a result's run; empty for one of an earlier release, or one that cannot be read."""
+    try:
+        with open_bounded(result) as file:
+            return bytes(file.attrs.get("run_digest", b""))
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, InvalidContentError):
+        return b""
+
+
 def matching_runs(
     entries: Sequence[RunEntry], words: Sequence[str], since: datetime | None = None, until: datetime | None = None
 ) -> list[RunEntry]:
@@ -193,10 +213,9 @@ def _lead(stored: StoredRun) -> Harmonic | None:
     it. Raises ``StoreError`` if that result file cannot be read.
     """
     run = stored.path
-    results = [path for path in run.parent.glob(f"{run.stem}.*.h5") if kind_of(path) == "result"]
-    if not results:
+    latest = max(_results_beside(run), key=lambda path: path.stat().st_mtime, default=None)
+    if latest is None:
         return None
-    latest = max(results, key=lambda path: path.stat().st_mtime)
     try:
         with open_bounded(latest) as file:
             text = file["json"]

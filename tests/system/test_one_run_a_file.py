@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import threading
@@ -27,7 +28,7 @@ from hpe_rig.measurement import (
 from hpe_rig.measurement.requests import clear_stop, with_stop_requests
 from hpe_rig.measurement.resumption import prepare_resumption
 from hpe_rig.runs.run import process
-from hpe_rig.store import StoreError, WriteOptions, read_run, result_path, task
+from hpe_rig.store import StoreError, WriteOptions, read_run, result_path, results_of_other_runs, task
 
 Prepare = Callable[..., Setup]
 SMALL = (
@@ -136,8 +137,16 @@ def test_only_a_run_file_is_overwritten_and_no_result_or_other_file(setup: Setup
     assert done.exit_code == 2
     assert "not replaced" in done.output
     assert result.read_bytes() == before
-    done = CliRunner().invoke(app, ["run", str(scene), "--output", str(path), "--overwrite", "--json"])
+    replace = ["run", str(scene), "--output", str(path), "--overwrite", "--json", "--estimator"]
+    done = CliRunner().invoke(app, [*replace, "kasai"])
     assert done.exit_code == 0, done.output
+    # The other estimator's result file is still that of the run before.
+    assert f"{result}: of the run that was replaced" in done.stderr
+    assert (
+        json.loads(CliRunner().invoke(app, ["list", str(tmp_path), "--json"]).stdout)[0]["lead"]["estimator"] == "kasai"
+    )
+    CliRunner().invoke(app, ["process", str(path)])
+    assert results_of_other_runs(path) == []
 
 
 def test_a_stop_is_for_the_run_that_it_names(setup: Setup, tmp_path: Path) -> None:
