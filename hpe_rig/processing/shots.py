@@ -37,6 +37,7 @@ from hpe_rig.processing.shot_fitting import (
 )
 from hpe_rig.processing.shot_tracking import NO_RECORDS, ShotRecords, WindowMotion, read_shot
 from hpe_rig.processing.shot_warnings import (
+    ALL_CLIPPED,
     clock_warnings,
     drift_warnings,
     first_pulse_warnings,
@@ -178,6 +179,8 @@ def _estimate_shot(
         _estimate_window(window, shot, records, settings, true_m, complete, control)
         for window, control in zip(scene.windows, window_controls, strict=True)
     ]
+    if why := stored.untrusted.get(shot.index):
+        results = [replace(result, untrusted=why) for result in results]
     if (reason := controls.failures.get(shot.index)) is None:
         return results
     warning = f"no control is subtracted ({reason}): motion without tonebursts, such as a hum, is in the values"
@@ -223,6 +226,8 @@ def _estimate_window(
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
     line = _line(motion, selection, options)
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
+    # A disturbance that omits a pulse may also reach full scale, which a larger input range does not mend.
+    clipped = records.statistics.at_full_scale(records.gate.code_limits)[selection.window] & motion.echoes.valid
     return ShotResult(
         **(_settings_of(scene, shot) | _rates_of(time_base)),
         pulses_used=int(motion.echoes.valid.sum()),
@@ -232,7 +237,7 @@ def _estimate_window(
         control=() if control is None else estimates_of(control.fit, reference=reference),
         warnings=(
             *records.assignment.remarks,
-            *_record_warnings(shot, records, selection, motion, complete),
+            *_record_warnings(shot, records, selection, motion, int(clipped.sum()), complete),
             *fit_warnings(fit, float(motion.measured.largest_step)),
             *medium_warnings(fit, settings.false_alarm, uses_prior=options.prior is not None),
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
@@ -242,6 +247,7 @@ def _estimate_window(
             *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s, scene.excitation is not None),
         ),
         complete=complete,
+        untrusted=ALL_CLIPPED if clipped.sum() == motion.echoes.valid.sum() else "",
         influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging, sources),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )
@@ -324,9 +330,12 @@ def _fit_with_aliasing(
 
 
 def _record_warnings(
-    shot: Shot, records: ShotRecords, selection: Selection, motion: WindowMotion, complete: bool
+    shot: Shot, records: ShotRecords, selection: Selection, motion: WindowMotion, clipped: int, complete: bool
 ) -> Iterator[str]:
-    """Yield warnings of records in the window that are missing, damaged, clipped, or unlike the others in energy."""
+    """Yield warnings of records in the window that are missing, damaged, clipped, or unlike the others in energy.
+
+    ``clipped``: number of used pulses at full scale.
+    """
     gate, window = records.gate, selection.window
     recorded = gate.valid[window]
     damaged = np.zeros_like(recorded) if gate.damaged is None else gate.damaged[window]
@@ -337,14 +346,12 @@ def _record_warnings(
     used = recorded & selection.used
     deviating = np.zeros_like(window)
     deviating[window] = used & ~motion.echoes.valid
-    # A disturbance that omits a pulse may also reach full scale, which a larger input range does not mend.
-    clipped = records.statistics.at_full_scale(gate.code_limits)[window] & used & ~deviating[window]
     position = ""
     if follow_tonebursts(shot, deviating):
         position = "after toneburst"
     elif precede_tonebursts(shot, deviating):
         position = "before toneburst"
-    yield from record_warnings(damaged, int(deviating.sum()), int(clipped.sum()), position)
+    yield from record_warnings(damaged, int(deviating.sum()), clipped, position)
 
 
 def _drift(

@@ -34,13 +34,14 @@ def headline_sentence(result: ResultData) -> str:
         values = [estimate_at(shot, frequency_hz) for shot in shots]
     untrusted = sum(bool(shot.untrusted) for shot in shots)
     source = ("" if len(shots) == 1 else f", {len(shots)} shots") + f"; {kind}"
-    source += f"; {untrusted} NOT TO BE TRUSTED" if untrusted else ""
+    warning = "NOT TO BE TRUSTED: " if untrusted == len(shots) else ""
+    source += f"; {untrusted} NOT TO BE TRUSTED" if untrusted and not warning else ""
     quantity = "corrected" if values[0].corrected else "as tracked"
     if len(values) == 1:
-        return _single_sentence(values[0], frequency_hz, quantity) + source
+        return warning + _single_sentence(values[0], frequency_hz, quantity) + source
     settings = len({setting_of(shot) for shot in shots})
     over = f" over {settings} settings" if settings > 1 else ""
-    return _range_sentence(values, frequency_hz, quantity) + over + source
+    return warning + _range_sentence(values, frequency_hz, quantity) + over + source
 
 
 def _range_sentence(values: Sequence[Estimate | RepeatMean], frequency_hz: float, quantity: str) -> str:

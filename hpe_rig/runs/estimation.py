@@ -109,7 +109,7 @@ def _estimate_gate(
     gates = []
     for shot in estimates.shots:
         time_s, displacement_m = (values.tolist() for values in motion[shot.index])
-        shot_result = replace(shot, motion=None, influences=(), untrusted=stored.untrusted.get(shot.index, ""))
+        shot_result = replace(shot, motion=None, influences=())
         gates.append(GateResult(gate.depth_m, gate.length_m, shot_result, tuple(time_s), tuple(displacement_m)))
     where = f"gate at {gate.depth_m * 1e3:.4g} mm, shot"
     return gates, [

@@ -129,12 +129,7 @@ class Run:
             estimator=name,
             phase_reference=phase_reference_of(self.scene, imported=self.bench.recording is not None).words,
             shots=tuple(
-                replace(
-                    shot,
-                    untrusted=self.stored.untrusted.get(shot.index, ""),
-                    conditions=conditions_of_shot(self.stored, shot.index),
-                )
-                for shot in estimates.shots
+                replace(shot, conditions=conditions_of_shot(self.stored, shot.index)) for shot in estimates.shots
             ),
             warnings=(
                 *self._changes_in_words(),

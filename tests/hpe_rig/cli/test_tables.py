@@ -120,7 +120,7 @@ def test_an_untrusted_shot_is_named_in_the_first_line_and_in_its_row(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     lines = list(_lines(printed(capsys, SHOT, replace(SHOT, index=1, repeat=1, untrusted="the amplitude was changed"))))
-    assert "1 NOT TO BE TRUSTED" in lines[0]
+    assert lines[0].endswith("; 1 NOT TO BE TRUSTED")
     assert any(line.split()[:1] == ["2"] and line.endswith("UNTRUSTED") for line in lines)
 
 

@@ -13,6 +13,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare
 from hpe_rig.measurement.run import end_at_full_scale, record_run
 from hpe_rig.measurement.sequencer import Event, ShotBlock, ShotDone
+from hpe_rig.runs import open_run
 from hpe_rig.scene import scene_text
 from hpe_rig.store import read_run
 
@@ -69,3 +70,8 @@ def test_the_command_says_what_to_change(tmp_path: Path) -> None:
     assert result.exit_code == 1
     assert "a larger acquisition.input_range_v or less gain" in result.output
     assert "holds the records that had arrived" in result.output
+    # The value of clipped echoes is printed, but not as a result.
+    (shot,) = open_run(tmp_path / "run.h5").estimate().shots
+    assert "every record" in shot.untrusted
+    printed = CliRunner().invoke(app, ["process", str(tmp_path / "run.h5")]).output
+    assert printed.lstrip().startswith("NOT TO BE TRUSTED: ")
