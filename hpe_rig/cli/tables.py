@@ -196,12 +196,13 @@ def _unit(amplitudes_m: Sequence[float]) -> tuple[float, str]:
 
 
 def times_text(provenance: Provenance) -> str:
-    """Return begin and end of a run: 2026-03-05 14:02:11+01:00 to 14:10:07."""
+    """Return begin and end of a run: 2026-03-05 14:02:11+01:00 to 14:10:07, after the shots copied from old.h5."""
     started, ended = provenance.started.replace("T", " "), provenance.ended.replace("T", " ")
     day, _, time = ended.partition(" ")
     # The date and offset of the end are omitted if they equal those of the begin.
     until = time[:8] if ended[:10] == started[:10] and ended[19:] == started[19:] else f"{day} {time}".strip()
-    return f"{started} to {until}" if ended else started
+    after = f", after the shots copied from {provenance.continues}" if provenance.continues else ""
+    return (f"{started} to {until}" if ended else started) + after
 
 
 def _shot_table(shot: ShotResult, printer: Printer) -> Table:

@@ -136,7 +136,8 @@ def warnings_of(run: Run, shot: Shot, clipped: bool) -> Iterator[str]:
     missing = [int(np.count_nonzero(~run.stored.records.arrival(index).recorded)) for index in range(shot.index)][-1:]
     if any(missing):
         yield f"{missing[0]} records of shot {shot.index} are missing"
-    if clipped:
+    # The echo on the page may be that of a disturbed pulse, which a larger range does not mend.
+    if clipped and run.scene.tracking.disturbed != "skip":
         yield f"an echo of shot {shot.index + 1} reaches full scale: increase the input range, or reduce the gain"
 
 

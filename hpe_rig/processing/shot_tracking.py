@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hpe_rig.store import GatedRecords, StoredRun
 
 MotionFunction = Callable[[EchoGate], Motion]
-NO_RECORDS = "no record of it was acquired"
+NO_RECORDS = "no record was acquired"
 DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-rig verify lists them"
 
 

@@ -314,6 +314,8 @@ def _facts(run: Run, result: Result) -> Iterator[tuple[str, str]]:
         yield from (("inferred", text) for text in recording.inferred)
     if result.provenance.started:
         yield "started", result.provenance.started.replace("T", " ")
+    if result.provenance.continues:
+        yield "earlier shots", f"copied from {result.provenance.continues}"
     twin = twin_of(scene) if run.stored.simulated else None
     if twin is not None and twin.foreign_medium is not None:
         yield "simulated medium", origin(MEDIA, twin.foreign_medium)

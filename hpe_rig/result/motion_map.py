@@ -150,8 +150,9 @@ class MotionMap:
             (u / scale_m, f"u of the amplitude / {unit}", "magma", 0.0, None),
             (self.velocity_m_per_s / scale, f"velocity / ({speed_unit})", "RdBu_r", -speed_limit, speed_limit),
         )
-        line_scale = 1e3 if self.lines_are_placed else 1.0
-        extent = (*_edges(self.line_m * line_scale), *_edges(self.depth_m * 1e3)[::-1])
+        # Lines without a position count from 1, as in the option --lines.
+        line = self.line_m * 1e3 if self.lines_are_placed else self.line_m + 1
+        extent = (*_edges(line), *_edges(self.depth_m * 1e3)[::-1])
         for axes, (values, label, colours, low, high) in zip(all_axes, panels, strict=True):
             limit = float(np.nanquantile(values, 0.98)) if high is None and np.isfinite(values).any() else high
             image = axes.imshow(values.T, extent=extent, aspect="auto", cmap=colours, vmin=low, vmax=limit)

@@ -16,7 +16,8 @@ class Provenance:
     """Start and end of a run, ISO 8601 with the offset from UTC, host and user; "" for values that no file states.
 
     ``drivers``: the packages below the instrument drivers with their versions. Firmware and driver versions reported by
-    instruments are stored with their settings.
+    instruments are stored with their settings. ``continues``: run file from which a resumed run copied shots, which
+    were measured before its start.
     """
 
     started: str = ""
@@ -24,6 +25,7 @@ class Provenance:
     host: str = ""
     user: str = ""
     drivers: str = ""
+    continues: str = ""
 
 
 class Stages:

@@ -19,12 +19,15 @@ def headline_sentence(result: ResultData) -> str:
     """Return the result in one sentence, at the frequency with the largest amplitude.
 
     One setting: its mean over repeats, or its only shot. Several settings, or shots without a mean: the range of their
-    amplitudes.
+    amplitudes. Incomplete and untrusted shots count only if there are no others.
     """
     kind = result.origin.partition(", SHA")[0].replace("SIMULATED", "simulated").replace("IMPORTED", "imported")
     shots = [shot for shot in result.shots if shot.estimates]
     if not shots:
         return f"no shot gave a result; {kind}"
+    untrusted = sum(bool(shot.untrusted) for shot in shots)
+    warning = "NOT TO BE TRUSTED: " if untrusted == len(shots) else ""
+    shots = [shot for shot in shots if shot.complete and not shot.untrusted] or shots
     frequency_hz = lead_frequency_hz(shots)
     means = [mean for mean in result.means if mean.frequency_hz == frequency_hz]
     # Without a mean for every shot, the single shots represent the settings.
@@ -32,9 +35,7 @@ def headline_sentence(result: ResultData) -> str:
         values: Sequence[Estimate | RepeatMean] = means
     else:
         values = [estimate_at(shot, frequency_hz) for shot in shots]
-    untrusted = sum(bool(shot.untrusted) for shot in shots)
     source = ("" if len(shots) == 1 else f", {len(shots)} shots") + f"; {kind}"
-    warning = "NOT TO BE TRUSTED: " if untrusted == len(shots) else ""
     source += f"; {untrusted} NOT TO BE TRUSTED" if untrusted and not warning else ""
     quantity = "corrected" if values[0].corrected else "as tracked"
     if len(values) == 1:

@@ -10,7 +10,7 @@ import numpy as np
 from hpe_rig.bench import BenchFile, Condition
 from hpe_rig.plan import CheckResult, Plan
 from hpe_rig.result import ConditionSummary, condition_summary
-from hpe_rig.scene import Scene, unreadable
+from hpe_rig.scene import Scene, omitted_keys, unreadable
 from hpe_rig.store import StoredRun, sha256_of_scan
 
 if TYPE_CHECKING:
@@ -24,6 +24,11 @@ def run_warnings(
     yield from (str(finding) for finding in findings if finding.level != "passed")
     yield from map(str, stored.damage)
     yield from _scan_warnings(scene, stored)
+    if keys := omitted_keys(scene.simulation or {}) if stored.simulated else ():
+        yield (
+            f"the twin of an earlier version has made these records with {' and '.join(keys)}, which the twin has no "
+            "longer: predictions are without"
+        )
     # The board reports that a record was clipped, not which one. If disturbed records are skipped, the codes in the
     # gate decide.
     for shot in stored.clipped if scene.tracking.disturbed != "skip" else ():

@@ -57,7 +57,7 @@ from .quantities import (
     VoltageV as VoltageV,
     Widths as Widths,
 )
-from .removed_keys import current_simulation as current_simulation
+from .removed_keys import current_simulation as current_simulation, omitted_keys as omitted_keys
 from .scene import Scene as Scene, ScenePoint as ScenePoint, scene_mistakes as scene_mistakes
 from .sections import (
     SWEPT_LISTS as SWEPT_LISTS,

@@ -21,6 +21,16 @@ def removal_remedy(path: str) -> str | None:
     return REMOVED_KEYS.get(path) or next(elsewhere, None)
 
 
+def omitted_keys(simulation: Mapping[str, Any]) -> list[str]:
+    """Return the removed keys in [simulation] of a stored scene that ``current_simulation`` drops, by their path."""
+    scatterers = simulation.get("scatterers") or {}
+    present = {
+        "simulation.transmitter": "transmitter" in simulation,
+        "simulation.scatterers.measured_pulse": "measured_pulse" in scatterers,
+    }
+    return [key for key, is_present in present.items() if is_present]
+
+
 def current_simulation(simulation: Mapping[str, Any]) -> dict[str, Any]:
     """Return [simulation] of a stored scene without its removed keys; the clock error that one of them set remains."""
     tables = _without_removed_keys(simulation, "simulation")

@@ -312,10 +312,12 @@ def _names(checked: CheckedFile, name: str, size: int) -> list[str]:
 
 def _provenance(checked: CheckedFile) -> tuple[Provenance, list[Damage]]:
     """Return start, end, host, user and drivers of the run, and the damage of its end."""
+    has_copied_shots = "predecessor_shots" in checked.file.attrs and checked.attribute("predecessor_shots", int) > 0
+    continues = checked.attribute("predecessor", str) if has_copied_shots else ""
     if not checked.has("provenance"):
-        return Provenance(), []
+        return Provenance(continues=continues), []
     texts = {name: checked.text(f"provenance/{name}") for name in ("started", "host", "user", "drivers")}
     ended, intact = checked_row(checked, "provenance/ended", None)
     text = ended.item().decode("ascii", "replace")
     damage = [] if intact else [Damage("/provenance/ended fails its checksum: when the run ended is left out")]
-    return Provenance(**texts, ended=text if text.isprintable() else ""), damage
+    return Provenance(**texts, ended=text if text.isprintable() else "", continues=continues), damage

@@ -137,6 +137,12 @@ def test_resume_from_the_command_line_logs_and_stops_like_run(
     done = CliRunner().invoke(app, ["resume", str(tmp_path / "run-2.h5"), "--json"])
     assert done.exit_code == 0, done.output
     assert len(json.loads(done.stdout)["shots"]) == 4
+    # The copied shots are older than the start of the run.
+    assert json.loads(done.stdout)["provenance"]["continues"] == "run-2.h5"
+    assert (
+        "after the shots copied from run-2.h5"
+        in CliRunner().invoke(app, ["process", str(tmp_path / "run-2-2.h5")]).output
+    )
     assert read_run(tmp_path / "run-2-2.h5").status == "complete"
 
 

@@ -92,7 +92,7 @@ def test_a_run_stopped_before_a_shots_first_record_is_processed_and_printed(
     done = CliRunner().invoke(app, ["report", str(path)])
     assert done.exit_code == 0, done.output
     assert f"{shot} of {SHOTS} planned" in path.with_suffix(".html").read_text(encoding="utf-8")
-    assert "left out: no record of it was acquired" in CliRunner().invoke(app, ["process", str(path)]).stdout
+    assert "left out: no record was acquired" in CliRunner().invoke(app, ["process", str(path)]).stdout
 
 
 def test_too_few_records_of_one_shot_cost_no_other_its_result(undisturbed: Path, whole: Result, tmp_path: Path) -> None:

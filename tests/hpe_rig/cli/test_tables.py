@@ -62,11 +62,12 @@ def test_the_sentence_of_several_settings_states_their_range() -> None:
     assert "over 2 settings, 2 shots" in said
 
 
-def test_repeats_of_which_one_is_incomplete_are_one_setting() -> None:
-    shots = (SHOT, replace(SHOT, index=2, repeat=2, complete=False))
-    said = headline_sentence(result_of(*shots))
-    assert "settings" not in said
-    assert said.endswith("(corrected), 2 shots; simulated")
+def test_an_incomplete_repeat_changes_neither_the_mean_nor_the_sentence() -> None:
+    shots, incomplete = [replace(SHOT, index=index, repeat=index) for index in range(2)], replace(SHOT, index=2)
+    said = headline_sentence(result_of(*shots, replace(incomplete, repeat=2, complete=False)))
+    assert said == headline_sentence(result_of(*shots))
+    assert said.endswith(", 2 shots; simulated")
+    assert "phase" in said
 
 
 def test_the_mean_of_repeats_comes_before_one_line_per_shot(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
+import hpe_rig as hpe
 from hpe_rig.bench import check_simulation, twin_of
 from hpe_rig.measurement import prepare
 from hpe_rig.scene import SettingsError, named_text, parse_scene, shipped_scenes
@@ -48,6 +52,13 @@ def test_the_twin_of_a_run_file_is_read_without_removed_keys_and_keeps_the_clock
     # A period too long is a rate too low.
     assert twin.settings.instruments.clock_error.digitizer == pytest.approx(-1e-6, rel=2e-6)
     assert twin.has_clock_errors
+
+
+def test_a_run_of_the_removed_power_stage_says_that_its_predictions_are_without(tmp_path: Path) -> None:
+    run = hpe.measure("table-1", path=tmp_path / "run.h5")
+    old = replace(run, scene=parse_scene("old", text_of_earlier_version(), stored=True).scene)
+    (warning,) = set(old.estimate().warnings) - set(run.estimate().warnings)
+    assert "with simulation.transmitter" in warning
 
 
 def test_a_sweep_of_a_removed_key_is_read_from_a_run_file() -> None:

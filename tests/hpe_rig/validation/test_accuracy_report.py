@@ -110,7 +110,10 @@ def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: 
     done = CliRunner().invoke(app, ["accuracy", "--output", str(tmp_path / "a.html")])
     assert done.exit_code == 130
     assert "a.html holds the parts before specimen" in done.output
-    assert 'download="end-to-end.csv"' in (tmp_path / "a.html").read_text(encoding="utf-8")
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert 'download="end-to-end.csv"' in page
+    # The line that unfolds the table is its caption.
+    assert re.findall(r"<(?:summary|caption)>(End to end.*?)<", page) == re.findall(r"<summary>(.*?)<", page)
 
 
 def test_full_raises_every_limit_and_stated_options_take_precedence(monkeypatch: pytest.MonkeyPatch) -> None:

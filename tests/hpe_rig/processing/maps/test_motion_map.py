@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -212,6 +213,9 @@ def test_a_recording_becomes_a_dataset_and_a_figure(tmp_path: Path) -> None:
     assert "SHA-256" in dataset.attrs["source"]
     assert "600 of 600 pixels estimated" in str(result)
     assert result.figure().axes[0].get_ylabel() == "depth / mm"
+    # Without positions, lines count from 1.
+    unplaced = replace(result, line_m=np.arange(3.0), lines_are_placed=False).figure().axes[0]
+    assert (unplaced.get_xlabel(), unplaced.get_xlim()) == ("line", (0.5, 3.5))
 
 
 @pytest.mark.parametrize(
