@@ -7,9 +7,11 @@ modulus is analytic in s off the negative real axis. ``creeps`` is True if a con
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +20,9 @@ from sim_backend.arrays import ComplexArray
 
 GROUP: Final = "hpe_rig.media"
 BUILT_IN_MEDIA: Final = ("voigt", "maxwell", "zener", "power_law")
+
+TIMEOUT_S: Final = 60.0
+"""Longest duration of one call of another package's code, as for its estimators."""
 
 
 @cache
@@ -51,10 +56,14 @@ def modulus_of(medium: str, parameters: Mapping[str, float], s_per_s: ComplexArr
     law = _law(medium)
     values = np.array([parameters[parameter.name] for parameter in law.parameters])
     s = np.asarray(s_per_s, np.complex128)
-    try:
+
+    def modulus() -> ComplexArray:
         # The derivatives are not used, and may not exist at s = 0.
         with np.errstate(divide="ignore", invalid="ignore"):
-            modulus_pa = np.asarray(law.modulus(s.reshape(-1), values)[0], np.complex128)
+            return np.asarray(law.modulus(s.reshape(-1), values)[0], np.complex128)
+
+    try:
+        modulus_pa = _in_time(modulus)
     except (Exception, SystemExit) as error:
         raise ValueError(f"{_description(medium)} failed ({type(error).__name__}: {error}): report it there") from error
     if modulus_pa.shape != (s.size,):
@@ -76,7 +85,7 @@ def _law(medium: str) -> Any:
     A law has ``parameters`` and a function ``modulus``. Raises ``ValueError`` if the law does not load or lacks them.
     """
     try:
-        law = _installed()[medium].load()
+        law = _in_time(_installed()[medium].load)
     except (Exception, SystemExit) as error:
         raise ValueError(
             f"{_description(medium)} does not load ({type(error).__name__}: {error}): uninstall it"
@@ -86,6 +95,26 @@ def _law(medium: str) -> Any:
             f"{_description(medium)} has no parameters or no modulus: install the newest version of its package"
         )
     return law
+
+
+def _in_time(function: Callable[[], Any]) -> Any:
+    """Return ``function()``, which runs in a thread; raise ``TimeoutError`` if it lasts longer than ``TIMEOUT_S``."""
+    outcomes = SimpleQueue[tuple[Any, BaseException | None]]()
+
+    def run() -> None:
+        try:
+            outcomes.put((function(), None))
+        except BaseException as error:
+            outcomes.put((None, error))
+
+    threading.Thread(target=run, daemon=True).start()
+    try:
+        value, failure = outcomes.get(timeout=TIMEOUT_S)
+    except Empty:
+        raise TimeoutError(f"it has not returned within {TIMEOUT_S:g} s") from None
+    if failure is not None:
+        raise failure
+    return value
 
 
 def _description(medium: str) -> str:
