@@ -57,13 +57,13 @@ def modulus_of(medium: str, parameters: Mapping[str, float], s_per_s: ComplexArr
     values = np.array([parameters[parameter.name] for parameter in law.parameters])
     s = np.asarray(s_per_s, np.complex128)
 
-    def modulus() -> ComplexArray:
+    def modulus() -> Any:
         # The derivatives are not used, and may not exist at s = 0.
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(law.modulus(s.reshape(-1), values)[0], np.complex128)
+            return law.modulus(s.reshape(-1), values)[0]
 
     try:
-        modulus_pa = _in_time(modulus)
+        modulus_pa = np.asarray(_in_time(modulus), np.complex128)
     except (Exception, SystemExit) as error:
         raise ValueError(f"{_description(medium)} failed ({type(error).__name__}: {error}): report it there") from error
     if modulus_pa.shape != (s.size,):
