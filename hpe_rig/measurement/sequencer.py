@@ -66,7 +66,7 @@ class ShotBlock:
 
 @dataclass(frozen=True, slots=True)
 class ShotRows:
-    """What the run file stores of a shot besides its records, by name: conditions, and settings that changed."""
+    """Values of a shot for its run file, by name: conditions, and settings that changed."""
 
     shot: Shot
     rows: Mapping[str, str | tuple[float, ...]]

@@ -8,7 +8,6 @@ from .editing import edited_text as edited_text
 from .estimator_table import (
     BUILT_IN_ESTIMATORS as BUILT_IN_ESTIMATORS,
     EstimatorProperties as EstimatorProperties,
-    Window as Window,
     checked_estimator as checked_estimator,
     estimator_names as estimator_names,
     properties_of as properties_of,
@@ -64,7 +63,6 @@ from .sections import (
     UNSTATED_FREQUENCY_ACCURACY as UNSTATED_FREQUENCY_ACCURACY,
     Acquisition as Acquisition,
     Excitation as Excitation,
-    Medium as Medium,
     Processing as Processing,
     Tracking as Tracking,
 )
