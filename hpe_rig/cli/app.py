@@ -72,7 +72,8 @@ def _run() -> int:
 
 def _refusal(error: typer.TyperException) -> str:
     """Return the message of refused arguments in one sentence with its remedy; without arguments it is the help."""
-    message, context = error.format_message(), getattr(error, "ctx", None)
+    # A wrong choice has the prefix of the library that checks it.
+    message, context = error.format_message().replace(": Value error, ", ": "), getattr(error, "ctx", None)
     if context is None or "\n" in message:
         return str(message)
     program, option = context.find_root(), getattr(error, "option_name", None)

@@ -65,6 +65,7 @@ def test_what_is_printed_goes_to_the_file_of_o(tmp_path: Path) -> None:
             ["run", "table-1", "--log-level", "debug"],
             r"(.+) run: No such option: --log-level\. Try: \1 --log-level ... run",
         ),
+        (["figure", "a.h5", "-o", "a.png", "--kind", "x"], r"(.+ figure): Invalid value for '--kind': 'x' is not .+"),
         (["nothing"], r"(.+): No such command 'nothing'\. Try: \1 --help"),
     ],
 )
