@@ -87,7 +87,8 @@ def test_the_curve_of_a_law_has_the_uncertainty_of_its_parameters() -> None:
     assert waves.std(axis=0) == pytest.approx(stated, rel=0.056)
 
 
-@pytest.mark.parametrize("seeds", [2, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [60])
 def test_the_intervals_contain_the_truth_as_often_as_they_state(seeds: int) -> None:
     """The mean of z^2 is 1 within 3 sqrt(2 / seeds); docs/validation/dispersion.md has 200 seeds."""
     three_hz, true = FREQUENCY_HZ[[0, 3, 8]], true_wave(9e3, 2.0, FREQUENCY_HZ[[0, 3, 8]])

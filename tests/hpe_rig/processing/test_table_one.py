@@ -92,7 +92,7 @@ def test_cross_spectrum_jitter_is_half_again_the_bound_and_reaches_that_of_the_n
     assert jitter_m.min() < 36.3e-9 < jitter_m.max()
 
 
-@pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
+@pytest.mark.parametrize("estimator", [pytest.param("coherent", marks=pytest.mark.slow), "cross_spectrum"])
 @pytest.mark.parametrize("snr_db", [pytest.param(10.0, marks=pytest.mark.slow), 30.0])
 def test_stated_uncertainties_are_true(
     table_one: TableOne, speckle_draws: FloatArray, estimator: Name, snr_db: float

@@ -334,6 +334,7 @@ def test_a_full_disk_of_temporary_files_is_no_damaged_file(scene: Path, monkeypa
         hpe.import_records(path, scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
 
 
+@pytest.mark.slow
 def test_the_report_of_a_stored_runs_sweep_follows_its_axes(scene: Path) -> None:
     path, page = scene.parent / "run.h5", scene.parent / "swept.html"
     hpe.import_records(RF[0], scene, path, axes="pulse,sample", **RATES)

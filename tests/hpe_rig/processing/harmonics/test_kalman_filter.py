@@ -89,7 +89,7 @@ def test_a_huge_prior_gives_least_squares_to_1e9_of_the_noise() -> None:
 
 
 @given(turn=st.floats(-3, 3), gain=st.floats(1e-6, 1e3), lift=st.floats(-1e-3, 1e-3), frequency_hz=st.floats(80, 1900))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_shift_scale_constant_and_conjugation_turn_the_phasor_as_they_must(
     turn: float, gain: float, lift: float, frequency_hz: float
 ) -> None:
