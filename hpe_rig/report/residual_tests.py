@@ -84,37 +84,20 @@ def line_p(power: FloatArray) -> float:
     return min(1.0, power.size * (1 - largest) ** (power.size - 1))
 
 
-def normalised_innovations(matrix: FloatArray, data: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the normalised innovations (pulse - start,) of recursive least squares; unit variance for a correct model.
+def innovation_sum(matrix: FloatArray, data: FloatArray, variance: FloatArray) -> tuple[float, int]:
+    """Return the sum of the squared normalised innovations of recursive least squares, and their number.
 
-    ``matrix`` (pulse, state), ``data`` and its noise ``variance`` (pulse,). The first pulses initialise the state.
-    Raises ``ValueError`` if the pulses are too few. Source: recursive residuals of Brown, Durbin and Evans.
+    An innovation is a pulse minus its prediction from all earlier pulses, over the standard deviation of both. The sum
+    equals the weighted sum of squared residuals of the fit to all pulses (Brown, Durbin and Evans 1975). ``matrix``
+    (pulse, state), ``data`` and its noise ``variance`` (pulse,). Raises ``ValueError`` if the pulses are too few.
     """
-    start = _start(matrix)
     # Unit noise variance: every row and value is divided by its standard deviation.
     scaled, target = matrix / np.sqrt(variance)[:, None], data / np.sqrt(variance)
-    covariance = np.linalg.inv(scaled[:start].T @ scaled[:start])
-    state = covariance @ (scaled[:start].T @ target[:start])
-    innovations = np.empty(len(matrix) - start)
-    for index, (row, value) in enumerate(zip(scaled[start:], target[start:], strict=True)):
-        # Kalman gain and innovation of one pulse, then the update of state and covariance.
-        gain = covariance @ row
-        variance_ratio = 1 + row @ gain  # of the innovation, over the noise
-        innovation = value - row @ state
-        innovations[index] = innovation / math.sqrt(variance_ratio)
-        state = state + gain * (innovation / variance_ratio)
-        covariance = covariance - np.outer(gain, gain) / variance_ratio
-    return innovations
-
-
-def _start(matrix: FloatArray) -> int:
-    """Return the number of first pulses with a well-conditioned fit."""
-    start: int = 2 * matrix.shape[1]
-    while start < len(matrix) - MIN_BINS:
-        if np.linalg.cond(matrix[:start]) < 1e3:
-            return start
-        start *= 2
-    raise ValueError(f"{len(matrix)} pulses are too few to initialise {matrix.shape[1]} unknowns")
+    state, _, rank, _ = np.linalg.lstsq(scaled, target, rcond=None)
+    count = len(matrix) - int(rank)
+    if count < MIN_BINS:
+        raise ValueError(f"{len(matrix)} pulses are too few for {matrix.shape[1]} unknowns")
+    return float(np.sum((target - scaled @ state) ** 2)), count
 
 
 def _whiteness(view: MotionView) -> tuple[float, str]:
@@ -158,10 +141,9 @@ def _stationarity(view: MotionView) -> tuple[float, str]:
 def _innovation(view: MotionView) -> tuple[float, str]:
     if not (view.noise_m2 > 0).all():
         raise ValueError("the echoes have no measurable noise")
-    squares = normalised_innovations(view.matrix, view.displacement_m, view.noise_m2) ** 2
+    total, count = innovation_sum(view.matrix, view.displacement_m, view.noise_m2)
     # One-sided: echoes that change shape with the motion scatter more than their noise, which is no fault.
-    p = float(chdtrc(squares.size, float(squares.sum())))
-    return p, f"mean square {squares.mean():.3f} of {squares.size}, expected at most 1"
+    return float(chdtrc(count, total)), f"mean square {total / count:.3f} of {count}, expected at most 1"
 
 
 _TESTS: dict[str, tuple[Callable[[MotionView], tuple[float, str]], str]] = {

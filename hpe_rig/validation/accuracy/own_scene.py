@@ -345,11 +345,5 @@ def _alternative_fits(scene: Scene) -> list[str]:
     if scene.without_prior is not None:
         default, impossible = "least_squares", {"medium_prior"}
     excluded = {scene.processing.harmonic or default, *impossible}
-    return [name for name in _literals(Processing.model_fields["harmonic"].annotation) if name not in excluded]
-
-
-def _literals(annotation: Any) -> list[str]:
-    """Return the strings in an annotation of literals, optional or not."""
-    if isinstance(annotation, str):
-        return [annotation]
-    return [word for argument in get_args(annotation) for word in _literals(argument)]
+    names, _ = get_args(Processing.model_fields["harmonic"].annotation)
+    return [name for name in get_args(names) if name not in excluded]
