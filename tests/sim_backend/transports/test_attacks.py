@@ -175,9 +175,6 @@ def flood(peer: socket.socket, chunk: bytes, size: int) -> None:
             peer.sendall(chunk)
 
 
-# One attack after the other
-
-
 @pytest.mark.parametrize("transport", OVER)
 @pytest.mark.parametrize(
     "message",
@@ -325,9 +322,6 @@ def test_an_unread_terminal_does_not_prevent_the_server_from_closing() -> None:
     assert threading.active_count() == threads - len(GENERATORS)
 
 
-# One exclusive lock at a time
-
-
 def lock(peer: socket.socket, number: int, timeout_ms: int = 0) -> int:
     return struct.unpack("!i", call(peer, 18, struct.pack("!iII", number, 1, timeout_ms)))[0]
 
@@ -425,6 +419,13 @@ def target(request: pytest.FixtureRequest) -> Iterator[tuple[str, Emulator]]:
         yield request.param, emulator
 
 
+def assert_served_after(transport: str, emulator: Emulator, data: bytes) -> None:
+    """Send ``data`` as it is and inside messages of the transport; then a well-behaved client must get its reply."""
+    for stream in (data, MESSAGES[transport](data)):
+        throw(emulator, stream)
+    assert identity(transport, emulator) == IDENTITY
+
+
 def fuzzing(examples: int) -> settings:
     return settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -432,20 +433,14 @@ def fuzzing(examples: int) -> settings:
 @fuzzing(10)
 @given(STREAMS)
 def test_after_any_words_and_bytes_the_next_client_is_served(target: tuple[str, Emulator], data: bytes) -> None:
-    transport, emulator = target
-    for stream in (data, MESSAGES[transport](data)):
-        throw(emulator, stream)
-    assert identity(transport, emulator) == IDENTITY
+    assert_served_after(*target, data)
 
 
 @pytest.mark.slow
 @fuzzing(3000)
 @given(STREAMS)
 def test_after_any_words_and_bytes_the_next_client_is_served_long(target: tuple[str, Emulator], data: bytes) -> None:
-    transport, emulator = target
-    for stream in (data, MESSAGES[transport](data)):
-        throw(emulator, stream)
-    assert identity(transport, emulator) == IDENTITY
+    assert_served_after(*target, data)
 
 
 @needs_pty
