@@ -57,6 +57,7 @@ def test_a_run_of_a_prescribed_motion_loads_no_physics_of_the_push(folder: Path)
     assert not [name for name in loaded if name.startswith(("hpe_rig.report.", "hpe_rig.live.", "hpe_rig.moduli."))]
 
 
+@pytest.mark.slow
 def test_a_check_opens_no_twin_and_loads_neither_scipy_nor_hdf5(tmp_path: Path) -> None:
     loaded = loaded_by(tmp_path, "check", "table-1")
     # A check reads and writes no run file.
