@@ -127,8 +127,9 @@ def test_json_states_the_values_of_the_table(printed_by: PrintedBy) -> None:
     assert pixels["frequency_hz"] == 200.0
 
 
+@pytest.mark.slow
 def test_json_of_a_design_states_the_numbers_of_its_table(folder: Path) -> None:
-    command = ["design", "table-1", "--over", "pulse_count", "--draws", "8", "--longest-s", "0.03"]
+    command = ["design", "table-1", "--over", "pulse_count", "--draws", "32", "--longest-s", "0.03"]
     printed = json.loads(CliRunner().invoke(app, [*command, "--json", "-o", "better.toml"]).stdout)
     assert set(printed) == {"request", "varied", "before", "after", "remarks"}
     table = {line[:28].strip(): line[28:].split() for line in CliRunner().invoke(app, command).stdout.splitlines()}
