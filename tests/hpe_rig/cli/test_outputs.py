@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli import stored
 from hpe_rig.cli.app import app
 from hpe_rig.cli.console import print_json
+from hpe_rig.result import MotionMap
 from hpe_rig.store import StoreError, result_path
 
 SCENE = """
@@ -145,6 +147,7 @@ def test_the_figure_is_written_if_the_map_cannot_be(folder: Path, monkeypatch: p
         raise StoreError(f"{path} cannot be written (No space left on device)")
 
     monkeypatch.setattr(stored, "write_map_file", fail)
+    monkeypatch.setattr(MotionMap, "figure", lambda *_, **__: Figure())
     done = CliRunner().invoke(app, [*MAP, "-o", "a.nc", "--figure", "a.png"])
     assert done.exit_code != 0
     assert "No space left on device" in done.output
