@@ -139,31 +139,33 @@ def drift_of(
     """Return the change of a ``motion`` (pulse,) over its train, with a test of whether there is any.
 
     The harmonics are fitted by least squares or, with a ``prior`` of media, by the fit with that prior. ``also_hz``:
-    further frequencies of the motion. One iteration suffices for the test. Raises ``ValueError`` if the fit does, and
+    further frequencies of the motion. One iteration suffices for the test, and replaces iterations that do not converge
+    in ``max_iterations``. Raises ``ValueError`` if the fit does, and
     for too few pulses.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     # ``steady`` is the motion minus the present estimate of its change, which the ``unknowns`` describe.
-    time_s, unknowns, steady, step_u = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion, np.inf
+    time_s, unknowns, steady = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion
     for iteration in range(max_iterations):
-        next_harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
-        products, moments, degrees = _normal_equations(next_harmonics, basis, steady, unknowns)
+        harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
+        products, moments, degrees = _normal_equations(harmonics, basis, steady, unknowns)
         if iteration == 0:
             probability, harmonic_probability = _significance(products, moments, degrees)
         # Posterior of the unknowns, which have a prior variance of one.
-        next_covariance = np.linalg.inv(products + np.eye(unknowns.size))
-        next_unknowns = next_covariance @ moments
-        next_step_u = float(np.max(np.abs(next_unknowns - unknowns) / np.sqrt(np.diag(next_covariance))))
-        # In short trains the patterns that the fit uses alternate with the estimate: steps that grow may diverge.
-        if next_step_u > step_u:
-            break
-        harmonics, unknowns, covariance, step_u = next_harmonics, next_unknowns, next_covariance, next_step_u
-        if step_u < CONVERGED_U or iteration == max_iterations - 1:
+        previous, covariance = unknowns, np.linalg.inv(products + np.eye(unknowns.size))
+        unknowns = covariance @ moments
+        converged = np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance)))
+        if converged or iteration == max_iterations - 1:
             break
         # Positions in the train run from -1 to 1. The steady motion has the phasors of the middle, position 0.
         drifting_m = harmonics.displacement_m(time_s, _positions(time_s), unknowns)
         steady_m = harmonics.displacement_m(time_s, np.zeros_like(time_s), unknowns)
         steady = replace(motion, displacement_m=motion.displacement_m - (drifting_m - steady_m))
+    if not converged and max_iterations > 1:
+        # In short trains the patterns that the fit uses can alternate with the estimate, which then diverges.
+        return drift_of(
+            motion, frequency_hz, also_hz=also_hz, background_order=background_order, prior=prior, max_iterations=1
+        )
     # From the unknowns to the changes of the wanted phasors' logarithms: complex, and as real and imaginary parts.
     sensitivity = harmonics.sensitivity[: frequency_hz.size]
     real_imaginary = np.stack([sensitivity.real, sensitivity.imag], axis=1).reshape(-1, unknowns.size)

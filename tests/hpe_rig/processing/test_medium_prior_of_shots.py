@@ -221,8 +221,8 @@ def test_harmonics_that_alias_near_fitted_ones_are_no_drift(harmonic: str) -> No
         assert abs(error_rad) < 2 * estimate.phase_uncertainty_rad
 
 
-def test_a_drift_that_does_not_converge_is_not_iterated_further() -> None:
-    """With these draws of noise 30 Gauss-Newton steps ended at changes of 10 to 87 u, in the steady motion of the twin.
+def test_one_iteration_replaces_a_drift_that_does_not_converge() -> None:
+    """With these draws of noise 30 Gauss-Newton steps end at changes of 10 to 87 u, in the steady motion of the twin.
 
     One of forty normal values exceeds 4 u in 0.3 % of the cases.
     """
