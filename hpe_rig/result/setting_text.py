@@ -68,8 +68,8 @@ def control_text(shots: Sequence[ShotResult]) -> str:
 
 def common_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
     """Return the settings that are equal in all ``items``, for a title."""
-    first, *others = setting_table(items)
-    return "".join(f", {text}" for name, text in first.items() if text and all(item[name] == text for item in others))
+    first, *further = setting_table(items)
+    return "".join(f", {text}" for name, text in first.items() if text and all(item[name] == text for item in further))
 
 
 def varied_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
