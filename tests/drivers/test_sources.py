@@ -56,12 +56,14 @@ def test_the_clock_accuracies_are_those_of_the_page() -> None:
 
 
 @pytest.mark.parametrize("model", BOARDS, ids=lambda model: model.name)
-def test_the_row_of_a_board_is_its_column_of_the_page(model: BoardModel) -> None:
-    names, *rows = rows_below("### 2.10 Other boards")
-    facts = {row[0]: row[names.index(model.name)].partition(",")[0] for row in rows}
+def test_the_row_of_a_board_is_its_row_of_the_page(model: BoardModel) -> None:
+    titles, *rows = rows_below("### 2.10 Other boards")
+    (row,) = (cells for cells in rows if cells[0] == model.name)
+    facts = {title: cell.partition(",")[0] for title, cell in zip(titles, row, strict=True)}
     multiples = re.findall(r"\d+", facts["record, a multiple of"])
     assert facts["kind"] == str(model.kind)
     assert facts["bits"] == str(model.code_bits)
+    assert facts["trigger input, V"] == f"{model.trigger_range_v:g}"
     assert facts["shortest record"] == str(model.record_minimum)
     assert (multiples[0], multiples[-1]) == (str(model.record_multiple), str(model.npt_record_multiple))
     assert facts["pre-trigger, a multiple of"] == str(model.pre_trigger_multiple)

@@ -30,7 +30,7 @@ FAST = {
     ("ATS460", "single_port"),
     ("ATS9870", "npt"),
 }
-"""The slowest and the fastest board; the other pairs are marked slow."""
+"""One board in single-port mode, one in NPT mode; the other pairs are marked slow."""
 
 
 def bench_of(folder: Path, model: str, *lines: str) -> Path:

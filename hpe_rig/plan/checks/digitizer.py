@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -123,22 +123,27 @@ _KEYS = {"record_count": "tracking.pulse_count", "trigger_level_v": "digitizer.t
 """Settings key by field of ``Capture``, for fields without a check."""
 
 
+def _choice(values: Sequence[float]) -> str:
+    """Return the accepted ``values`` in words."""
+    return f"{'one of ' if len(values) > 1 else ''}{', '.join(f'{value:g}' for value in values)}"
+
+
 def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, str, str]]:
     """Return name, text and remedy of each check, by the field of ``Capture`` that it concerns."""
-    rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
-    ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
+    rates = _choice([rate / 1e6 for rate in model.sample_rates_hz])
+    ranges = _choice(model.input_ranges_v)
     samples, multiples = capture.record_samples, f"multiples of {model.record_multiple} from {model.record_minimum}"
     delay, longest = capture.trigger_delay_samples, model.max_trigger_delay_samples
     return {
         "sample_rate_hz": (
             "sample rate",
             f"acquisition.sample_rate_hz = {in_hz(capture.sample_rate_hz)} on the {model.name}",
-            f"one of {rates} MHz",
+            f"{rates} MHz",
         ),
         "input_range_v": (
             "input range",
             f"acquisition.input_range_v = {capture.input_range_v:g} V on the {model.name}",
-            f"one of {ranges} V",
+            f"{ranges} V",
         ),
         "record_samples": (
             "record length",
