@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.processing.echo.gate import EchoGate, expand_to_pulses
+from hpe_rig.processing.echo.gate import EchoGate
 from hpe_rig.processing.echo.spectrum import advanced, band_spectrum
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.processing.motion.phase_shift import compare_with_others, pulse_steps
+from hpe_rig.processing.motion.phase_shift import compare_with_others, motion_of_phase, pulse_steps
 
 GRID = 16
 """Intervals of the grid in a carrier period; from 1/32 period Newton's method converges to 1e-8 of it in two steps."""
@@ -43,17 +43,8 @@ def cross_correlation(echoes: EchoGate) -> Motion:
     # frequency: without this weight the error of rigid motion is 1e-4 in a gate of 1 mm, and 4e-3 without margins.
     cross *= consecutive.mean_hz[..., None, None] / band.frequency_hz
     delay_s = guess_s + _peak_delay_s(cross, band.frequency_hz, float(np.nanmin(consecutive.mean_hz)))
-    metres_per_second = echoes.sound_speed_m_per_s / 2
-    # ``comparison.variance`` is that of a phase, rad^2.
-    variance_m2 = comparison.variance / (2 * np.pi * consecutive.mean_hz[..., None]) ** 2 * metres_per_second**2
-    return Motion(
-        time_s=echoes.pulse_time_s,
-        displacement_m=expand_to_pulses(delay_s * metres_per_second, echoes.valid),
-        variance_m2=expand_to_pulses(variance_m2, echoes.valid),
-        valid=echoes.valid,
-        # A quarter wavelength of displacement is a phase of pi.
-        largest_step=np.abs(np.diff(consecutive.phase, axis=-1)).max(axis=-1) / np.pi,
-    )
+    mean_hz = consecutive.mean_hz[..., None]
+    return motion_of_phase(echoes, -2 * np.pi * mean_hz * delay_s, comparison.variance, mean_hz)
 
 
 def _peak_delay_s(cross: ComplexArray, frequency_hz: FloatArray, carrier_hz: float) -> FloatArray:

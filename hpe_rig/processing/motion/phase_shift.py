@@ -47,7 +47,7 @@ def coherent(echoes: EchoGate) -> Motion:
     trains, pulses = math.prod(spectrum.shape[:-2]), spectrum.shape[-2]
     use_compiled = trains > 1 and trains * pulses >= COMPILED_ECHOES and "numba" in sys.modules
     phase, variance, mean_hz = coherent_phase(spectrum, band, use_compiled)
-    return _motion_of_phase(echoes, phase, variance, mean_hz[..., None])
+    return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
 
 
 def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -137,7 +137,7 @@ def loupas(echoes: EchoGate) -> Motion:
     return motion_of_steps(echoes, np.angle(steps.product), centre_hz, variance, step_noise_ratio)
 
 
-def _motion_of_phase(echoes: EchoGate, phase: FloatArray, variance: FloatArray, frequency_hz: FloatArray) -> Motion:
+def motion_of_phase(echoes: EchoGate, phase: FloatArray, variance: FloatArray, frequency_hz: FloatArray) -> Motion:
     """Return the displacement -c phase / (4 pi f) of ``phase`` (..., valid pulse), with its variance.
 
     ``variance`` (..., valid pulse): that of the phase, rad². ``frequency_hz`` f (..., 1): that of the train's echoes.
@@ -366,7 +366,6 @@ def compare_with_others(
     gated_sum = band.gated(total)
     total_energy = real_inner_product(gated_sum, total)
     reference_pulses, tiny = spectrum.shape[-2] - 1, np.finfo(np.float64).tiny
-    # Only noise along the echo changes its phase. It is estimated from the misfit, the noise orthogonal to the echo.
     noise_along = band.noise_along(gated_sum, total_energy)[..., None]
     energy_sum = np.zeros(spectrum.shape[:-2])
     product, variance = np.empty(spectrum.shape[:-1], np.complex128), np.empty(spectrum.shape[:-1])
@@ -381,11 +380,10 @@ def compare_with_others(
         # The reference is the sum of the others: the noise of the pulse itself would bias its phase to zero.
         product[..., chunk] = with_others = with_total - echo_energy
         reference_energy = np.maximum(total_energy[..., None] - 2 * with_total.real + echo_energy, tiny)
-        misfit = np.maximum(echo_energy - np.abs(with_others) ** 2 / reference_energy, 0.0)
-        # Variance of the phase: half the noise along the echo over the energy of a mean echo. The reference is a sum of
-        # ``reference_pulses`` echoes, so its energy is the square of their number times that of their mean.
+        # The reference is a sum of ``reference_pulses`` echoes: its energy is the square of their number times that of
+        # their mean.
         variance[..., chunk] = (
-            misfit * noise_along / (band.noise_energy - noise_along) / (2 * reference_energy) * reference_pulses**2
+            phase_variance(band, with_others, echo_energy, reference_energy, noise_along) * reference_pulses**2
         )
         energy_sum += echo_energy.sum(axis=-1)
     # Energy and moment of the common part: those of the sum minus those of single echoes. The latter's moment, before
@@ -393,6 +391,20 @@ def compare_with_others(
     moment = real_inner_product(gated_sum, total * band.frequency_hz) - steps.moment
     mean_hz = mean_frequency(moment, total_energy - energy_sum, band)
     return Comparison(gated_sum=gated_sum, product=product, variance=variance, mean_hz=mean_hz)
+
+
+def phase_variance(
+    band: Band, product: ComplexArray, energy: FloatArray, reference_energy: FloatArray, noise_along: FloatArray
+) -> FloatArray:
+    """Return the variance (..., pulse), rad², of each echo's phase against a reference that is as large as the echo.
+
+    ``product`` (..., pulse): inner product of the reference with each echo, ``energy`` (..., pulse) of the echo, both
+    over the gate. ``reference_energy`` and ``noise_along`` (``Band.noise_along``) of the reference: (..., 1) or
+    (..., pulse).
+    """
+    # Only noise along the echo changes its phase. It is estimated from the misfit, the noise orthogonal to the echo.
+    misfit = np.maximum(energy - np.abs(product) ** 2 / reference_energy, 0.0)
+    return np.asarray(misfit * noise_along / (band.noise_energy - noise_along) / (2 * reference_energy))
 
 
 def _depth_correlation(spectrum: ComplexArray, band: Band, sample_rate_hz: float) -> ComplexArray:
