@@ -29,9 +29,9 @@ def test_another_fit_of_a_stored_run_gives_the_result_of_a_scene_with_it_and_say
     settings = {"processing.harmonic": "kalman", "processing.process_noise": 1e-3}
     scene = hpe.load_scene("table-1").with_(settings)
     expected = hpe.measure(scene, path=tmp_path / "kalman.h5").estimate("coherent")
-    found, usual = run.with_(settings).estimate("coherent"), run.estimate("coherent")
-    assert found.shots[0].estimates == expected.shots[0].estimates != usual.shots[0].estimates
-    assert set(found.warnings) - set(expected.warnings) == {
+    kalman, usual = run.with_(settings).estimate("coherent"), run.estimate("coherent")
+    assert kalman.shots[0].estimates == expected.shots[0].estimates != usual.shots[0].estimates
+    assert set(kalman.warnings) - set(expected.warnings) == {
         "estimated with other settings than the scene's: processing.harmonic = kalman, processing.process_noise = 0.001"
     }
 
