@@ -88,6 +88,12 @@ class TwinDeclaration:
         return 1 + float(self.settings.instruments.clock_error.burst_train)
 
     @property
+    def rate_error(self) -> float:
+        """True relative error of the motion's frequencies by the pulses' clock; only the ground truth may use it."""
+        motion_rate = 1.0 if self.prescribed else self.burst_clock_rate
+        return motion_rate / (1 + float(self.settings.instruments.clock_error.tracking_train)) - 1
+
+    @property
     def focus_depth_m(self) -> float:
         """Distance from the tracking transducer to the common focus, the centre of the scatterers."""
         return self.settings.beams.tracked_from_m

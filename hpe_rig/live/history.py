@@ -27,7 +27,7 @@ def estimates_with_sources(run: Run, shot: Shot, fit: HarmonicFit, estimator: st
     """Return the estimates of ``fit`` with beam averaging and the scene's error sources, as in a result.
 
     The sources that need all records are missing: ends of the gate, rounding to codes, lost first pulses, and in a shot
-    that is not complete the rate error of the clocks.
+    that is not complete the rate error of the clocks. Phases count from a stated time zero at its nominal delay.
     """
     scene = scene_of_shot(run.scene, shot)
     predicted = predicted_averaging(scene, estimator, off_axis_offsets_m(run.plan))

@@ -27,7 +27,13 @@ from .interference import (
     pulse_kinds as pulse_kinds,
 )
 from .omitted import omissions as omissions
-from .phase_reference import PhaseReference as PhaseReference, phase_reference_of as phase_reference_of
+from .phase_reference import (
+    SAME_TIME_ZERO as SAME_TIME_ZERO,
+    PhaseReference as PhaseReference,
+    phase_definition as phase_definition,
+    phase_reference_of as phase_reference_of,
+    time_zero_event as time_zero_event,
+)
 from .selection import (
     MAX_CONDITION as MAX_CONDITION,
     Selection as Selection,

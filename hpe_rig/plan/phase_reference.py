@@ -8,29 +8,35 @@ The *stated* one is that of the phases in a result, ``delay_s`` later:
 
     stated phase = physical phase + 2 pi f delay_s
 
-``phase_reference_of`` is the only place that chooses the stated one. Both are equal at present.
+Only this module chooses the stated one: ``time_zero_event`` in words, ``phase_reference_of`` in seconds. Both are equal
+at present.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from hpe_rig.plan.shots import Shot
 from hpe_rig.scene import Scene
 
+SAME_TIME_ZERO: Final = "runs that both have an [excitation], or both none"
+"""Runs whose phases count from the same event: the remedy where two runs differ in it."""
+
 
 @dataclass(frozen=True, slots=True)
 class PhaseReference:
-    """Time zero of stated phases: the ``event`` in words, ``delay_s`` after the physical time zero."""
+    """Time zero of stated phases: ``delay_s`` after the physical time zero, by the same clock as the phases."""
 
-    event: str
     delay_s: float = 0.0
 
-    @property
-    def words(self) -> str:
-        """The definition of phase in words, as a result states it."""
-        return f"of sin(2 pi f t + phase), the motion at the gate, with t from {self.event}"
+    def by_motion_clock(self, rate_error: float) -> PhaseReference:
+        """Return this reference with a delay by the clock of the motion's frequencies, if it was by the pulses' clock.
+
+        ``rate_error``: relative error of these frequencies by the clock of the pulses.
+        """
+        return PhaseReference(self.delay_s * (1 + rate_error))
 
     def stated_rad(self, physical_rad: float, frequency_hz: float) -> float:
         """Return the stated phase of a physical one, in [-pi, pi]; the same number if both time zeros are equal."""
@@ -41,19 +47,24 @@ class PhaseReference:
         return _shifted_rad(stated_rad, -2 * math.pi * frequency_hz * self.delay_s)
 
 
-FIRST_TONEBURST = PhaseReference("the first toneburst's arrival at the gate")
-MASTER_TRIGGER = PhaseReference("the master trigger's edge")
-RECORDED_TIMES = PhaseReference("time zero of the recording's pulses")
+def phase_reference_of(scene: Scene, shot: Shot) -> PhaseReference:
+    """Return the stated phase reference of ``shot``, with its delay by the clock of the tracking pulses."""
+    return PhaseReference()
 
 
-def phase_reference_of(scene: Scene, shot: Shot | None = None, imported: bool = False) -> PhaseReference:
-    """Return the stated phase reference of ``shot``, or of the whole scene, then without ``delay_s``.
+def time_zero_event(scene: Scene, imported: bool = False) -> str:
+    """Return the event at the stated time zero in words.
 
     ``imported``: the records are those of another program, which states no master trigger.
     """
     if scene.excitation:
-        return FIRST_TONEBURST
-    return RECORDED_TIMES if imported else MASTER_TRIGGER
+        return "the first toneburst's arrival at the gate"
+    return "time zero of the recording's pulses" if imported else "the master trigger's edge"
+
+
+def phase_definition(scene: Scene, imported: bool = False) -> str:
+    """Return the definition of phase in words, as a result states it. ``imported``: as for ``time_zero_event``."""
+    return f"of sin(2 pi f t + phase), the motion at the gate, with t from {time_zero_event(scene, imported)}"
 
 
 def _shifted_rad(phase_rad: float, shift_rad: float) -> float:

@@ -3,9 +3,9 @@
     phase = phi + 2 pi f e t,   I = sum over f of (2 pi f A)² sum (t - mean t)² / (2 s²),   u(e)² = 1 / (1 / a² + I)
 
 e is the rate error of the motion by the clock of the pulses, a the accuracy of the clocks, A the amplitude, s the noise
-of a pulse. u(e) changes the phase at time zero by 2 pi f mean(t) u(e). The trigger times, which measure the rate of the
-pulses, are left out: they reduce a if the digitizer's clock is more accurate than that of the pulses. Tonebursts at the
-second input replace u(e) by a far smaller one.
+of a pulse. u(e) changes the phase stated at time t0 by 2 pi f |mean(t) - t0| u(e). The trigger times, which measure
+the rate of the pulses, are left out: they reduce a if the digitizer's clock is more accurate than that of the pulses.
+Tonebursts at the second input replace u(e) by a far smaller one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import BenchFile, clock_covariance
-from hpe_rig.plan import Shot, select
+from hpe_rig.plan import Shot, phase_reference_of, select
 from hpe_rig.prediction.conditions import expected_amplitude_m
 from hpe_rig.prediction.linear_fit import echo_noise_m, trigger_noise_m
 from hpe_rig.processing import predicted_uncertainty, prior_rate_error, spec_of
@@ -46,8 +46,8 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
         posterior_u = 1 / math.sqrt(1 / prior_u**2 + information)
     if _second_input_is_connected(bench):
         posterior_u = predicted_uncertainty(shot, posterior_u) or posterior_u
-    # The phase is stated at time zero, the rate acts about the mean time of the pulses.
-    mean_s = float(time_s.mean()) if time_s.size else 0.0
+    # The rate acts about the mean time of the pulses, which is this late after the time zero of the stated phases.
+    mean_s = float(time_s.mean()) - phase_reference_of(scene, shot).delay_s if time_s.size else 0.0
     return prior_u, posterior_u, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * posterior_u)
 
 

@@ -37,7 +37,8 @@ class ErrorSources:
     gate. ``quantisation_m``: for each frequency along and across its phasor; empty if noise dithers the codes.
     ``carrier_relative``: difference of the echo's mean frequency from the carrier, for estimators that divide by the
     carrier, unless the averaging predicts it. ``control``: motion without tonebursts, already subtracted.
-    ``time_base_m`` (frequency,): change of each phasor by one standard uncertainty of the rate error, with
+    ``time_base_m`` (frequency,): change of each phasor by one standard uncertainty of the rate error, its effect on the
+    stated time zero included, with
     ``time_base_freedom`` degrees of freedom; None for one common clock. ``time_base_clock_fraction``: part of its
     variance that is common to all shots.
     """
@@ -81,27 +82,29 @@ def estimates_of(
     averaging: Sequence[Averaging | None] | None = None,
     true_m: FloatArray | None = None,
     reference: PhaseReference | None = None,
+    true_reference: PhaseReference | None = None,
 ) -> tuple[Estimate, ...]:
     """Return amplitude and phase of every frequency of one ``fit``, each with its uncertainty budget.
 
     ``averaging`` (frequency,): predicted ratio of tracked to peak displacement, None if unknown. ``true_m`` (frequency,
     2): ground truth, A cos(phase) and A sin(phase), NaN or None if unknown. Phases in ``fit`` and ``true_m`` count from
-    the physical time zero. Those of the estimates count from the event of ``reference``, or from the physical time zero
-    if ``reference`` is None.
+    the physical time zero. Those of the estimates count from the time zero of ``reference``, true ones from that of
+    ``true_reference``, by the clock of the motion's frequencies; without a reference from the physical time zero.
     """
     count = fit.frequency_hz.size
     averagings = averaging if averaging is not None else (None,) * count
     estimates = (_estimate(fit, index, sources or ErrorSources(), averagings[index], true_m) for index in range(count))
-    return tuple(estimate if reference is None else _with_phases_from(reference, estimate) for estimate in estimates)
+    stated, true = reference or PhaseReference(), true_reference or reference or PhaseReference()
+    return tuple(_with_phases_from(stated, true, estimate) for estimate in estimates)
 
 
-def _with_phases_from(reference: PhaseReference, estimate: Estimate) -> Estimate:
-    """Return ``estimate`` with its measured and true phases relative to the time zero of ``reference``."""
+def _with_phases_from(reference: PhaseReference, true_reference: PhaseReference, estimate: Estimate) -> Estimate:
+    """Return ``estimate`` with its measured phase from ``reference`` and its true one from ``true_reference``."""
     frequency_hz, true_rad = estimate.frequency_hz, estimate.true_phase_rad
     return replace(
         estimate,
         tracked_phase_rad=reference.stated_rad(estimate.tracked_phase_rad, frequency_hz),
-        true_phase_rad=None if true_rad is None else reference.stated_rad(true_rad, frequency_hz),
+        true_phase_rad=None if true_rad is None else true_reference.stated_rad(true_rad, frequency_hz),
     )
 
 

@@ -194,7 +194,8 @@ def clock_warnings(
 ) -> Iterator[str]:
     """Yield a warning of clocks that differ by more than stated, and of a significant rate error that changes a result.
 
-    ``pulse_time_s`` (pulse,): nominal times. ``has_bursts``: tonebursts of the bench make the motion.
+    ``pulse_time_s`` (pulse,): nominal times after the time zero of the stated phases. ``has_bursts``: tonebursts of the
+    bench make the motion.
     """
     rate, error = time_base.tracking_rate, time_base.by_pulses
     if rate is not None and time_base.differs_from_bench:

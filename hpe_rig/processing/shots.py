@@ -11,8 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.bench import twin_of
 from hpe_rig.medium import BeamWidths
-from hpe_rig.plan import Plan, Selection, Shot, follow_tonebursts, phase_reference_of, precede_tonebursts, select
+from hpe_rig.plan import (
+    PhaseReference,
+    Plan,
+    Selection,
+    Shot,
+    follow_tonebursts,
+    phase_reference_of,
+    precede_tonebursts,
+    select,
+)
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
 from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.echo.conditioning import gate_statistics
@@ -213,11 +223,12 @@ def _estimate_window(
         motion = motion.without(removed_drift.change_m(motion.tracked.time_s))
     fit_of = partial(_fit_with_aliasing, scene, shot, selection=selection, options=options, settings=settings)
     fit = fit_of(motion) if removed_drift is None else with_drift_uncertainty(fit_of(motion), removed_drift)
-    time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base)
+    delay_s = phase_reference_of(scene, shot).delay_s
+    reference, true_reference = _phase_references(scene, shot, time_base)
+    time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base, fit, delay_s)
     sources = replace(_error_sources(records, motion, fit, settings, time_base, time_base_m), control=control)
-    reference = phase_reference_of(scene, shot)
     averaging = shot_averaging(scene, fit, settings.averaging)
-    estimates = estimates_of(fit, sources, averaging, true_m, reference)
+    estimates = estimates_of(fit, sources, averaging, true_m, reference, true_reference)
     if max(records.assignment.shifts):
         alternatives = [
             estimates_of(late_fit, sources, shot_averaging(scene, late_fit, settings.averaging), None, reference)
@@ -244,13 +255,20 @@ def _estimate_window(
             *drift_warnings(drift, estimates, settings.false_alarm, is_removed=removed_drift is not None),
             *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm, sources.rounding_m),
             *toneburst_warnings(records.tonebursts, time_base),
-            *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s, scene.excitation is not None),
+            *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s - delay_s, scene.excitation is not None),
         ),
         complete=complete,
         untrusted=ALL_CLIPPED if clipped.sum() == motion.echoes.valid.sum() else "",
         influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging, sources),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )
+
+
+def _phase_references(scene: Scene, shot: Shot, time_base: TimeBase) -> tuple[PhaseReference, PhaseReference]:
+    """Return the references of measured and of true phases, with delays by the clock of the motion's frequencies."""
+    nominal, twin = phase_reference_of(scene, shot), twin_of(scene)
+    true_error = 0.0 if twin is None else twin.rate_error
+    return nominal.by_motion_clock(time_base.by_pulses.value), nominal.by_motion_clock(true_error)
 
 
 def _settings_of(scene: Scene, shot: Shot) -> dict[str, Any]:

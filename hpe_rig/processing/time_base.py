@@ -221,15 +221,21 @@ def state_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: T
     return np.asarray((fast.state - slow.state) / 2)
 
 
-def phasor_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase) -> ComplexArray | None:
-    """Return the change of each wanted A exp(j phase) by one standard uncertainty of the rate error, m.
+def phasor_influence_m(
+    fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase, fit: HarmonicFit, delay_s: float
+) -> ComplexArray | None:
+    """Return the change of each wanted A exp(j phase) of ``fit`` by one standard uncertainty of the rate error, m.
 
-    None if the rate error is certain.
+    The phase is stated at ``delay_s`` after the physical time zero, by the clock of the pulses. None if the rate error
+    is certain.
     """
     if not time_base.is_uncertain:
         return None
-    wanted_m = state_influence_m(fitter, motion, time_base)[: 2 * len(fitter.wanted_hz)]
-    return np.asarray(wanted_m[::2] + 1j * wanted_m[1::2])
+    wanted_m = state_influence_m(fitter, motion, time_base)[: 2 * fit.frequency_hz.size]
+    # The rate error also moves the stated time zero, which is delay_s (1 + e) by the clock of the motion's frequencies.
+    shift_rad = 2 * np.pi * fit.frequency_hz * delay_s * time_base.by_pulses.uncertainty
+    phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
+    return np.asarray(wanted_m[::2] + 1j * wanted_m[1::2] + 1j * shift_rad * phasor_m)
 
 
 def shot_fit(

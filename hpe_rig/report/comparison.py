@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpe_rig.bench import settings_differences
-from hpe_rig.plan import phase_reference_of
+from hpe_rig.plan import SAME_TIME_ZERO, time_zero_event
 from hpe_rig.result import (
     INDEPENDENT_SOURCES,
     RECTIFIED,
@@ -224,11 +224,11 @@ def compare_runs(first: Path, second: Path, estimator: str | None = None) -> Com
 
 def _refuse_unlike_phases(first: Run, second: Run) -> None:
     """Raise ``StoreError`` if the phases of two runs count from different events."""
-    events = [phase_reference_of(run.scene).event for run in (first, second)]
+    events = [time_zero_event(run.scene) for run in (first, second)]
     if events[0] != events[1]:
         raise StoreError(
             f"{first.path.name} and {second.path.name} cannot be compared: their phases count from {events[0]} and "
-            f"from {events[1]}. Try: runs that both have an [excitation], or both none."
+            f"from {events[1]}. Try: {SAME_TIME_ZERO}."
         )
 
 

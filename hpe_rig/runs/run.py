@@ -19,7 +19,7 @@ from hpe_rig.plan import (
     Plan,
     gates_over_depth,
     omissions,
-    phase_reference_of,
+    phase_definition,
     plans_at_offsets,
     reference_gate,
     refuse_conflicts,
@@ -127,7 +127,7 @@ class Run:
             simulated=self.stored.simulated,
             status=self.stored.status,
             estimator=name,
-            phase_reference=phase_reference_of(self.scene, imported=self.bench.recording is not None).words,
+            phase_reference=phase_definition(self.scene, imported=self.bench.recording is not None),
             shots=tuple(
                 replace(shot, conditions=conditions_of_shot(self.stored, shot.index)) for shot in estimates.shots
             ),
