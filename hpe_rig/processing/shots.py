@@ -225,7 +225,7 @@ def _estimate_window(
     fit = fit_of(motion) if removed_drift is None else with_drift_uncertainty(fit_of(motion), removed_drift)
     delay_s = phase_reference_of(scene, shot).delay_s
     reference, true_reference = _phase_references(scene, shot, time_base)
-    time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base, fit, delay_s)
+    time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base, delay_s)
     sources = replace(_error_sources(records, motion, fit, settings, time_base, time_base_m), control=control)
     averaging = shot_averaging(scene, fit, settings.averaging)
     estimates = estimates_of(fit, sources, averaging, true_m, reference, true_reference)

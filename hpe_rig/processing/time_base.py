@@ -211,31 +211,43 @@ def _narrowed(
     return by_clocks
 
 
-def state_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase) -> FloatArray:
-    """Return the change (state,) of the fitted states by one standard uncertainty of the rate error, m.
+def _states_with_rate_errors(
+    fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase
+) -> tuple[FloatArray, FloatArray]:
+    """Return the fitted states (state,), m, one standard uncertainty of the rate error above and below its estimate.
 
-    ``motion`` has the times of the estimated rate error. The fit is repeated on both sides of it.
+    ``motion`` has the times of the estimated rate error.
     """
     u = time_base.by_pulses.uncertainty
     fast, slow = (fitter(with_rate_error(motion.tracked, error)) for error in (u, -u))
-    return np.asarray((fast.state - slow.state) / 2)
+    return fast.state, slow.state
+
+
+def state_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase) -> FloatArray:
+    """Return the change (state,) of the fitted states by one standard uncertainty of the rate error, m."""
+    fast, slow = _states_with_rate_errors(fitter, motion, time_base)
+    return np.asarray((fast - slow) / 2)
 
 
 def phasor_influence_m(
-    fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase, fit: HarmonicFit, delay_s: float
+    fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase, delay_s: float
 ) -> ComplexArray | None:
-    """Return the change of each wanted A exp(j phase) of ``fit`` by one standard uncertainty of the rate error, m.
+    """Return the change of each wanted A exp(j phase) by one standard uncertainty of the rate error, m.
 
     The phase is stated at ``delay_s`` after the physical time zero, by the clock of the pulses. None if the rate error
     is certain.
     """
     if not time_base.is_uncertain:
         return None
-    wanted_m = state_influence_m(fitter, motion, time_base)[: 2 * fit.frequency_hz.size]
+    wanted_hz = np.array(fitter.wanted_hz)
+    fast_m, slow_m = (
+        state[: 2 * wanted_hz.size : 2] + 1j * state[1 : 2 * wanted_hz.size : 2]
+        for state in _states_with_rate_errors(fitter, motion, time_base)
+    )
     # The rate error also moves the stated time zero, which is delay_s (1 + e) by the clock of the motion's frequencies.
-    shift_rad = 2 * np.pi * fit.frequency_hz * delay_s * time_base.by_pulses.uncertainty
-    phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
-    return np.asarray(wanted_m[::2] + 1j * wanted_m[1::2] + 1j * shift_rad * phasor_m)
+    # Both shifts of the phase may be large, so that they are combined before the difference is taken.
+    shift = np.exp(2j * np.pi * wanted_hz * delay_s * time_base.by_pulses.uncertainty)
+    return np.asarray((fast_m * shift - slow_m * shift.conj()) / 2)
 
 
 def shot_fit(
