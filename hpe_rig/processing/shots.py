@@ -215,9 +215,7 @@ def _estimate_window(
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
     # Records to displacement of each pulse to harmonics.
     motion, time_base = timed_motion(scene, shot, records, spec.motion, settings.clocks, settings.beams, control)
-    # Unfitted harmonics that alias near a fitted one beat with it, as a drift does: the prior contains them.
-    with_prior = replace(options, prior=available_prior(scene, shot, settings.beams))
-    drift = _drift(scene, motion, selection, with_prior, settings.false_alarm)
+    drift = _drift(scene, shot, motion, selection, options, settings)
     removed_drift = drift if scene.processing.drift == "linear" else None
     if removed_drift is not None:
         motion = motion.without(removed_drift.change_m(motion.tracked.time_s))
@@ -235,10 +233,8 @@ def _estimate_window(
             for late_fit in map(fit_of, map(motion.delayed, records.assignment.alternatives_s(shot)))
         ]
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
-    line = _line(motion, selection, options)
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
-    # A disturbance that omits a pulse may also reach full scale, which a larger input range does not mend.
-    clipped = records.statistics.at_full_scale(records.gate.code_limits)[selection.window] & motion.echoes.valid
+    line, clipped = _line(motion, selection, options), _clipped_count(records, selection, motion)
     return ShotResult(
         **(_settings_of(scene, shot) | _rates_of(time_base)),
         pulses_used=int(motion.echoes.valid.sum()),
@@ -248,7 +244,7 @@ def _estimate_window(
         control=() if control is None else estimates_of(control.fit, reference=reference),
         warnings=(
             *records.assignment.remarks,
-            *_record_warnings(shot, records, selection, motion, int(clipped.sum()), complete),
+            *_record_warnings(shot, records, selection, motion, clipped, complete),
             *fit_warnings(fit, float(motion.measured.largest_step)),
             *medium_warnings(fit, settings.false_alarm, uses_prior=options.prior is not None),
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
@@ -258,7 +254,7 @@ def _estimate_window(
             *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s - delay_s, scene.excitation is not None),
         ),
         complete=complete,
-        untrusted=ALL_CLIPPED if clipped.sum() == motion.echoes.valid.sum() else "",
+        untrusted=ALL_CLIPPED if clipped == motion.echoes.valid.sum() else "",
         influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging, sources),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )
@@ -347,6 +343,13 @@ def _fit_with_aliasing(
     return fit
 
 
+def _clipped_count(records: ShotRecords, selection: Selection, motion: WindowMotion) -> int:
+    """Return the number of used pulses in the window at the digitizer's full scale."""
+    at_full_scale = records.statistics.at_full_scale(records.gate.code_limits)[selection.window]
+    # A disturbance that omits a pulse may also reach full scale, which a larger input range does not mend.
+    return int((at_full_scale & motion.echoes.valid).sum())
+
+
 def _record_warnings(
     shot: Shot, records: ShotRecords, selection: Selection, motion: WindowMotion, clipped: int, complete: bool
 ) -> Iterator[str]:
@@ -373,22 +376,29 @@ def _record_warnings(
 
 
 def _drift(
-    scene: Scene, motion: WindowMotion, selection: Selection, options: Options, max_probability: float
+    scene: Scene,
+    shot: Shot,
+    motion: WindowMotion,
+    selection: Selection,
+    options: Options,
+    settings: _RunSettings,
 ) -> Drift | None:
     """Return the change of the motion over the window, for its removal or for a test of whether there is one.
 
     One iteration is enough to test for a change. It is iterated to convergence if ``scene`` removes it or if it is
-    significant: a steady motion shows one as large with a probability below ``max_probability``. None if a test is not
-    possible: noisy echoes or few pulses. Raises ``ValueError`` if ``scene`` asks for the removal of a drift that cannot
-    be estimated.
+    significant: a steady motion shows one as large with a probability below ``settings.false_alarm``. None if a test is
+    not possible: noisy echoes or few pulses. Raises ``ValueError`` if ``scene`` asks for the removal of a drift that
+    cannot be estimated.
     """
+    # Unfitted harmonics that alias near a fitted one beat with it, as a drift does: the prior contains them.
+    options = replace(options, prior=available_prior(scene, shot, settings.beams))
     if scene.processing.drift == "linear":
         return shot_drift(motion, selection, options)
     if motion.coherent is not None:
         with suppress(ValueError):
             drift = shot_drift(motion, selection, options, max_iterations=1)
             # A significant drift is reported with its size, which one iteration gives only roughly.
-            significant = drift.probability < max_probability
+            significant = drift.probability < settings.false_alarm
             return shot_drift(motion, selection, options) if significant else drift
     return None
 

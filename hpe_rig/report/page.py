@@ -108,19 +108,18 @@ def render(
     stages = Stages()
     with stages("read"):
         stored_run = open_run(path).with_(settings or {}).with_profile(profile_step_m)
-    if not axes:
-        run = stored_run
-        result = run.estimate(estimator, stages)
-        # The result file is for other programs; the page never reads one, since it could have been edited.
-        with stages("write result"):
-            run.save(result)
-        shot = _selected_shot(result, shot_number)
-    else:
+    if axes:
         points = points_over(stored_run, axes, together)
         result = estimate_points(points, estimator)
-        shot = _selected_shot(result, shot_number)
-        # The pictures of the main shot use the settings of its point.
-        run = next(run for values, run in points if values.items() <= shot.swept.items())
+    else:
+        points = [({}, stored_run)]
+        result = stored_run.estimate(estimator, stages)
+        # The result file is for other programs; the page never reads one, since it could have been edited.
+        with stages("write result"):
+            stored_run.save(result)
+    shot = _selected_shot(result, shot_number)
+    # The pictures of the main shot use the settings of its point.
+    run = next(run for values, run in points if values.items() <= shot.swept.items())
     with stages("draw"):
         pictures, tests, motion = _display(run, result, shot, alone=shot_number is not None)
         sweep = make_sweep(result.shots)

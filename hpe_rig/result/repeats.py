@@ -18,11 +18,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hpe_rig.result.interval import interval_95, phase_interval_95_rad, student_widening
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
-from hpe_rig.result.values import RECTIFIED, Estimate, ShotResult
+from hpe_rig.result.values import RECTIFIED, Estimate, ShotResult, earlier_headline
 
 INDEPENDENT_SOURCES = ("noise", "trigger jitter", "control", "control scatter")
 """Sources that are independent between repeats; all others are common to them."""
@@ -83,6 +83,12 @@ class RepeatMean:
     interval_95_m: float = math.nan
     interval_95_rad: float = math.nan
     swept: Mapping[str, float] = field(default_factory=dict)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> RepeatMean:
+            """Return the mean itself, with a warning, as the earlier attribute ``headline``."""
+            return earlier_headline(self, name)
 
 
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:

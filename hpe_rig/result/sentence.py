@@ -25,24 +25,29 @@ def headline_sentence(result: ResultData) -> str:
     shots = [shot for shot in result.shots if shot.estimates]
     if not shots:
         return f"no shot gave a result; {kind}"
+    usable_shots = [shot for shot in shots if shot.complete and not shot.untrusted]
+    sentence = f"{_values_sentence(usable_shots or shots, result.means)}; {kind}"
     untrusted = sum(bool(shot.untrusted) for shot in shots)
-    warning = "NOT TO BE TRUSTED: " if untrusted == len(shots) else ""
-    shots = [shot for shot in shots if shot.complete and not shot.untrusted] or shots
+    if untrusted == len(shots):
+        return f"NOT TO BE TRUSTED: {sentence}"
+    return f"{sentence}; {untrusted} NOT TO BE TRUSTED" if untrusted else sentence
+
+
+def _values_sentence(shots: Sequence[ShotResult], means: Sequence[RepeatMean]) -> str:
+    """Return the mean over the repeats ``shots``, the value of the only shot, or the range over the settings."""
     frequency_hz = lead_frequency_hz(shots)
-    means = [mean for mean in result.means if mean.frequency_hz == frequency_hz]
+    lead_means = [mean for mean in means if mean.frequency_hz == frequency_hz]
+    values: Sequence[Estimate | RepeatMean] = lead_means
     # Without a mean for every shot, the single shots represent the settings.
-    if sum(len(mean.shots) for mean in means) == len(shots):
-        values: Sequence[Estimate | RepeatMean] = means
-    else:
+    if sum(len(mean.shots) for mean in lead_means) != len(shots):
         values = [estimate_at(shot, frequency_hz) for shot in shots]
-    source = ("" if len(shots) == 1 else f", {len(shots)} shots") + f"; {kind}"
-    source += f"; {untrusted} NOT TO BE TRUSTED" if untrusted and not warning else ""
     quantity = "corrected" if values[0].corrected else "as tracked"
+    count = "" if len(shots) == 1 else f", {len(shots)} shots"
     if len(values) == 1:
-        return warning + _single_sentence(values[0], frequency_hz, quantity) + source
+        return _single_sentence(values[0], frequency_hz, quantity) + count
     settings = len({setting_of(shot) for shot in shots})
     over = f" over {settings} settings" if settings > 1 else ""
-    return warning + _range_sentence(values, frequency_hz, quantity) + over + source
+    return _range_sentence(values, frequency_hz, quantity) + over + count
 
 
 def _range_sentence(values: Sequence[Estimate | RepeatMean], frequency_hz: float, quantity: str) -> str:

@@ -40,6 +40,15 @@ EARLIER_NAMES = {
 """Names of the corrected values before version 1.0, where the present names stated the tracked values."""
 
 
+def earlier_headline(values: Any, name: str) -> Any:
+    """Return ``values`` itself, with a warning, for its earlier attribute ``headline``; refuse any other ``name``."""
+    if name != "headline":
+        raise AttributeError(f"{type(values).__name__!r} object has no attribute {name!r}", name=name, obj=values)
+    kind = type(values).__name__
+    warnings.warn(f"the values of headline are those of the {kind} itself", FutureWarning, stacklevel=3)
+    return values
+
+
 @dataclass(frozen=True, slots=True)
 class AveragingRule:
     """How the averaging follows from the complex ratio r of tracked to peak motion in a medium.
@@ -229,11 +238,8 @@ class Estimate:
 
         def __getattr__(self, name: str) -> Any:
             """Return the value of one of ``EARLIER_NAMES`` with a warning; values were None without correction."""
-            if name == "headline":
-                warnings.warn("the values of headline are those of the estimate itself", FutureWarning, stacklevel=2)
-                return self
             if name not in EARLIER_NAMES:
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+                return earlier_headline(self, name)
             present = EARLIER_NAMES[name]
             warnings.warn(f"{name} is called {present} since version 1.0", FutureWarning, stacklevel=2)
             return getattr(self, present) if self.corrected or name.endswith(("error", "error_rad")) else None

@@ -138,7 +138,7 @@ class Run:
                 *gate_failures,
             ),
             conditions=condition_summaries(self.bench, self.stored),
-            omitted=tuple(omissions(_with_estimator(self.scene, name), self.bench)),
+            omitted=(*omissions(_with_estimator(self.scene, name), self.bench), *self._omitted_truth()),
             versions=versions(),
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,
@@ -153,6 +153,10 @@ class Run:
         if self.changes:
             values = ", ".join(f"{key} = {value}" for key, value in self.changes.items())
             yield f"estimated with other settings than the scene's: {values}"
+
+    def _omitted_truth(self) -> Iterator[tuple[str, str]]:
+        if self.stored.simulated and self.stored.true_displacement_m is None:
+            yield "comparison with true values", "the run file holds those of other frequencies"
 
     def sweep(
         self, axes: Mapping[str, Sequence[float]], *, together: bool = False, estimator: str | None = None
@@ -184,7 +188,11 @@ class Run:
         from hpe_rig.runs.reprocessing import reprocessed
 
         scene, plan, findings = reprocessed(self.scene, self.bench, self.plan, values, self.path.name)
-        return replace(self, scene=scene, plan=plan, findings=findings)
+        stored, frequencies_hz = self.stored, scene.wanted_frequencies_hz
+        # The file holds true amplitudes and phases at the frequencies of its own scene, in their order.
+        if frequencies_hz != self.scene.wanted_frequencies_hz[: len(frequencies_hz)]:
+            stored = replace(stored, true_displacement_m=None)
+        return replace(self, scene=scene, plan=plan, findings=findings, stored=stored)
 
     def with_profile(self, step_m: float | None) -> Run:
         """Return the run with gates every ``step_m`` over the depth of its records; None returns it unchanged.

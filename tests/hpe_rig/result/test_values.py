@@ -10,6 +10,7 @@ import h5py
 import pytest
 
 from hpe_rig.result import Estimate, Result, ShotResult
+from hpe_rig.result.repeats import repeat_means
 from hpe_rig.result.rows import result_csv
 from hpe_rig.store import write_result
 
@@ -56,5 +57,8 @@ def test_an_earlier_name_is_read_with_a_warning_that_names_the_present_one() -> 
         assert TRACKED.corrected_amplitude_m is None  # type: ignore[attr-defined]
     with pytest.warns(FutureWarning, match="headline"):
         assert CORRECTED.headline is CORRECTED  # type: ignore[attr-defined]
+    (mean,) = repeat_means(result(CORRECTED).shots)
+    with pytest.warns(FutureWarning, match="headline are those of the RepeatMean itself"):
+        assert mean.headline is mean  # type: ignore[attr-defined]
     with pytest.raises(AttributeError, match="'Estimate' object has no attribute 'amplitude'"):
         TRACKED.amplitude  # type: ignore[attr-defined]  # noqa: B018
