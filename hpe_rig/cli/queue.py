@@ -22,7 +22,7 @@ from hpe_rig.measurement import (
     read_queue,
     run_queue,
 )
-from hpe_rig.result import Estimate, RepeatMean, Result, rich_table
+from hpe_rig.result import Estimate, RepeatMean, Result, amplitude_text, rich_table
 from hpe_rig.runs import process
 from hpe_rig.scene import Mistake, SettingsError, plural, printable
 
@@ -103,8 +103,8 @@ def _as_dict(run: QueueRun, result: Result | None) -> dict[str, Any]:
 
 
 def _strongest(result: Result) -> Estimate | RepeatMean | None:
-    """Return the harmonic with the largest amplitude, of the means over repeats if any."""
-    shots = [estimate for shot in result.shots for estimate in shot.estimates]
+    """Return the harmonic with the largest amplitude, of the means over repeats if any, else of trusted shots."""
+    shots = [estimate for shot in result.shots if not shot.untrusted for estimate in shot.estimates]
     estimates: Sequence[Estimate | RepeatMean] = result.means or shots
     return max(estimates, key=lambda item: item.amplitude_m, default=None)
 
@@ -117,9 +117,8 @@ def _result_text(run: QueueRun, result: Result | None) -> str:
         return reason[:MAX_REASON] or ("measured earlier" if run.state == "done" else "")
     lead = _strongest(result)
     if lead is None:
-        return "the scene has no frequency"
-    amplitude = f"{lead.amplitude_m * 1e9:.4g} +- {lead.amplitude_uncertainty_m * 1e9:.2g} nm"
-    return f"{amplitude} at {lead.frequency_hz:g} Hz"
+        return "NOT TO BE TRUSTED" if any(shot.untrusted for shot in result.shots) else "the scene has no frequency"
+    return f"{amplitude_text(lead.amplitude_m, lead.amplitude_uncertainty_m)} at {lead.frequency_hz:g} Hz"
 
 
 def _free_folder() -> Path:

@@ -81,7 +81,8 @@ def new(
     from hpe_rig.store import write_file
 
     if (name is None) is (output is None):
-        raise SettingsError("command line", [Mistake("NAME", "one file is written", "new NAME, or new -o FILE.toml")])
+        what = "no file is named" if name is None else "two files are named, here and by -o"
+        raise SettingsError("command line", [Mistake("NAME", what, "new NAME, or new -o FILE.toml")])
     path = output or Path(f"{(name or '').removesuffix('.toml')}.toml")
     is_bench = like == "bench"
     text = edited_text(read_bench().text, {("title",): f"Bench {path.stem}"}) if is_bench else source_text(like)[1]

@@ -176,9 +176,13 @@ class _Reader:
         demodulation_hz = self._demodulation_hz(values)
         recorded = self._find_recorded(values)
         position_m = statements.line_positions_m(values.shape[0])
+        empty_lines = np.flatnonzero(~recorded.any(axis=(1, 2))) + 1
         values, recorded, position_m = self._select_lines(values, recorded, position_m)
         if not recorded.any():
-            statements.add_mistake("lines", "no selected record holds an echo", "other lines, or another array")
+            listed = ", ".join(map(str, empty_lines[:MAX_LISTED]))
+            # A record of a mean is missing if it is missing in one of the lines.
+            what = f"no selected record holds an echo ({plural(empty_lines.size, 'line')} without any: {listed or '-'})"
+            statements.add_mistake("lines", what, "other lines, or another array")
         if rate_hz is not None and carrier_hz:
             values, demodulation_hz = self._with_checked_carrier(values, rate_hz, carrier_hz, demodulation_hz)
         if (

@@ -38,6 +38,7 @@ from hpe_rig.measurement import (
     toggle_pause,
 )
 from hpe_rig.measurement.requests import with_pauses
+from hpe_rig.result import amplitude_text
 from hpe_rig.runs import json_schema, process
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify
@@ -318,7 +319,10 @@ def test_queue_and_list_state_the_mean_over_repeats(tmp_path: Path, monkeypatch:
     printed = CliRunner().invoke(app, ["queue", str(scene), "--output", "night"]).output
     result = hpe.open_run(tmp_path / "night" / "01-scene-0.h5").estimate()
     (mean,) = result.means
-    nm = f"{mean.amplitude_m * 1e9:.4g}"
-    assert all(f"{shot.estimates[0].amplitude_m * 1e9:.4g}" != nm for shot in result.shots)
-    assert f"{nm} +-" in printed
-    assert nm in CliRunner().invoke(app, ["list", "night"]).output
+    text, *others = (
+        amplitude_text(item.amplitude_m, item.amplitude_uncertainty_m)
+        for item in (mean, *(shot.estimates[0] for shot in result.shots))
+    )
+    assert text not in others
+    for output in (printed, CliRunner().invoke(app, ["list", "night"]).output):
+        assert text in " ".join(output.split())

@@ -84,8 +84,8 @@ def test_a_new_scene_goes_to_its_name_or_to_the_file_of_o(tmp_path: Path, monkey
     for arguments in (["new", "a"], ["new", "b.toml"], ["new", "-o", "c.toml"]):
         assert CliRunner().invoke(app, arguments).exit_code == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.toml", "b.toml", "c.toml"]
-    for arguments in (["new"], ["new", "d", "-o", "d.toml"]):
-        assert "NAME: one file is written" in CliRunner().invoke(app, arguments).output
+    for arguments, what in ((["new"], "no file is named"), (["new", "d", "-o", "d.toml"], "two files are named")):
+        assert f"NAME: {what}" in CliRunner().invoke(app, arguments).output
 
 
 @pytest.mark.parametrize("command", [["run", "table-1"], ["process", "run.h5"], ["list"]])

@@ -8,7 +8,9 @@ from dataclasses import replace
 
 import pytest
 
+from hpe_rig.cli.queue import _result_text
 from hpe_rig.cli.tables import TABLE_WIDTH, print_result
+from hpe_rig.measurement import QueueRun
 from hpe_rig.result import Component, Estimate, Result, ShotResult, headline_sentence
 
 BUDGET = (Component("noise", 1.234e-6, 0.0456), Component("speckle", 1.1e-6, 0.01), Component("gate edge", 1e-12, 1e-9))
@@ -123,6 +125,13 @@ def test_an_untrusted_shot_is_named_in_the_first_line_and_in_its_row(
     lines = list(_lines(printed(capsys, SHOT, replace(SHOT, index=1, repeat=1, untrusted="the amplitude was changed"))))
     assert lines[0].endswith("; 1 NOT TO BE TRUSTED")
     assert any(line.split()[:1] == ["2"] and line.endswith("UNTRUSTED") for line in lines)
+
+
+def test_the_row_of_a_queue_states_no_untrusted_shot() -> None:
+    run = QueueRun("a", "", None, "a.h5", "done")
+    larger = replace(SHOT, index=1, untrusted="clipped", estimates=(replace(ESTIMATE, tracked_amplitude_m=1e-4),))
+    assert _result_text(run, result_of(SHOT, larger)) == _result_text(run, result_of(SHOT))
+    assert _result_text(run, result_of(larger)) == "NOT TO BE TRUSTED"
 
 
 def _lines(lines: list[str]) -> Iterator[str]:
