@@ -149,9 +149,8 @@ def trigger_noise_m(scene: Scene, simulated: bool = True) -> float:
     if scene.processing.reference_gate_depth_m is not None:
         return 0.0
     twin = twin_of(scene) if simulated else None
-    return (
-        0.0 if twin is None else twin.settings.instruments.trigger_jitter_s * scene.acquisition.sound_speed_m_per_s / 2
-    )
+    jitter_s = 0.0 if twin is None else twin.settings.instruments.trigger_jitter_s
+    return jitter_s * scene.acquisition.sound_speed_m_per_s / 2
 
 
 def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> ComplexArray | None:

@@ -38,9 +38,8 @@ class ErrorSources:
     ``carrier_relative``: difference of the echo's mean frequency from the carrier, for estimators that divide by the
     carrier, unless the averaging predicts it. ``control``: motion without tonebursts, already subtracted.
     ``time_base_m`` (frequency,): change of each phasor by one standard uncertainty of the rate error, its effect on the
-    stated time zero included, with
-    ``time_base_freedom`` degrees of freedom; None for one common clock. ``time_base_clock_fraction``: part of its
-    variance that is common to all shots.
+    stated time zero included, with ``time_base_freedom`` degrees of freedom; None for one common clock.
+    ``time_base_clock_fraction``: part of its variance that is common to all shots.
     """
 
     sound_speed_m_per_s: float = 1540.0

@@ -24,17 +24,18 @@ FORCE_FORMAT = ".4g"
 
 
 def setting_table(items: Sequence[ShotResult | RepeatMean]) -> list[dict[str, str]]:
-    """Return the texts of the settings of every shot or mean by name; "" for absent settings and offsets of zero.
+    """Return the texts of the settings of every shot or mean by name; "" for absent ones and offsets of zero in all.
 
     Forces have more digits if two of them had equal texts.
     """
     form_of_force = _force_format(items)
+    on_axis = {name for name, *_ in _SETTINGS if name.endswith("offset_m") and not any(getattr(i, name) for i in items)}
     tables = []
     for item in items:
         table = {}
         for name, factor, _, form, text in _SETTINGS:
             value = getattr(item, name)
-            is_stated = value is not None and (value or not name.endswith("offset_m"))
+            is_stated = value is not None and name not in on_axis
             table[name] = text.format(format(value * factor, form or form_of_force)) if is_stated else ""
         tables.append(table | {name: f"{name} = {value:g}" for name, value in item.swept.items()})
     return tables

@@ -26,8 +26,8 @@ def run_warnings(
     yield from _scan_warnings(scene, stored)
     if keys := omitted_keys(scene.simulation or {}) if stored.simulated else ():
         yield (
-            f"the twin of an earlier version has made these records with {' and '.join(keys)}, which the twin has no "
-            "longer: predictions are without"
+            f"these records are of an earlier twin with {' and '.join(keys)}, which was removed: predictions leave it "
+            "out"
         )
     # The board reports that a record was clipped, not which one. If disturbed records are skipped, the codes in the
     # gate decide.

@@ -140,8 +140,7 @@ def drift_of(
 
     The harmonics are fitted by least squares or, with a ``prior`` of media, by the fit with that prior. ``also_hz``:
     further frequencies of the motion. One iteration suffices for the test, and replaces iterations that do not converge
-    in ``max_iterations``. Raises ``ValueError`` if the fit does, and
-    for too few pulses.
+    in ``max_iterations``. Raises ``ValueError`` if the fit does, and for too few pulses.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     # ``steady`` is the motion minus the present estimate of its change, which the ``unknowns`` describe.

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.result import Result, ShotResult, common_settings, varied_settings
+from hpe_rig.result import Result, ShotResult, common_settings, setting_table, varied_settings
 from hpe_rig.result.values import Estimate
 
 FORCES = np.linspace(0.1, 1.0, 12)
@@ -94,6 +94,13 @@ def test_a_figure_over_the_drive_has_one_curve_for_each_frequency(drives: Result
 def test_a_figure_over_the_lateral_offset_is_in_order_of_the_offset() -> None:
     result = result_of(*(shot(number, 1.0, 0, lateral_offset_m=x) for number, x in enumerate((3e-3, 1e-3, 2e-3))))
     assert [x for x, _ in curves(result.figure("distance").axes[0])[0]] == pytest.approx([1.0, 2.0, 3.0])
+
+
+def test_a_lateral_offset_of_zero_is_named_beside_others_and_else_omitted() -> None:
+    shots = [shot(number, 1.0, 0, lateral_offset_m=offset_m) for number, offset_m in enumerate((0.0, 1e-3))]
+    names = [table["lateral_offset_m"] for table in setting_table(shots)]
+    assert names == ["0 mm lateral offset", "1 mm lateral offset"]
+    assert "offset" not in common_settings(shots[:1])
 
 
 def test_an_undetermined_phase_is_not_drawn() -> None:
