@@ -260,7 +260,9 @@ class Run:
         stored = read_run(self.path)
         if stored.digest != self.identity:
             return open_run(self.path)
-        # Scene and plan stay the same while records arrive.
+        # Scene, plan and whether there are true values for it stay the same while records arrive.
+        if self.stored.true_displacement_m is None:
+            stored = replace(stored, true_displacement_m=None)
         return replace(self, stored=stored, plan=_with_stored_forces(self.plan, stored))
 
 

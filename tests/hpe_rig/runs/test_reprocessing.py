@@ -39,7 +39,7 @@ def test_another_fit_of_a_stored_run_gives_the_result_of_a_scene_with_it_and_say
 def test_true_values_are_left_out_at_frequencies_of_which_the_file_holds_none(run: hpe.Run) -> None:
     (usual,) = run.with_({"processing.frequencies_hz": [200.0]}).estimate().shots[0].estimates
     assert usual.true_amplitude_m == pytest.approx(1e-6)
-    result = run.with_({"processing.frequencies_hz": [190.0]}).estimate()
+    result = run.with_({"processing.frequencies_hz": [190.0]}).refreshed().estimate()
     (other,) = result.shots[0].estimates
     assert (other.true_amplitude_m, other.phase_error_rad) == (None, None)
     assert ("comparison with true values", "the run file holds those of other frequencies") in result.omitted
