@@ -169,6 +169,14 @@ def hung_up(peer: socket.socket) -> bool:
     return True
 
 
+def assert_threads_end(before: int) -> None:
+    """Wait until no more than ``before`` threads run, at most 10 s."""
+    deadline_s = time.monotonic() + 10
+    while threading.active_count() > before and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    assert threading.active_count() <= before
+
+
 def flood(peer: socket.socket, chunk: bytes, size: int) -> None:
     with suppress(ConnectionError):
         for _ in range(size // len(chunk)):
@@ -225,10 +233,7 @@ def test_endless_reads_end_when_their_clients_close() -> None:
                 number = link(peer)
                 peer.sendall(rpc(12, struct.pack("!iIIIii", number, 10, (1 << 31) - 1, 0, 0, 0)))
         assert identity("vxi11", emulator) == IDENTITY
-        deadline_s = time.monotonic() + 10
-        while threading.active_count() > before and time.monotonic() < deadline_s:
-            time.sleep(0.02)
-        assert threading.active_count() <= before
+        assert_threads_end(before)
 
 
 @pytest.mark.parametrize("transport", OVER)
@@ -296,9 +301,7 @@ def test_many_connections_use_a_bounded_number_of_threads(transport: str) -> Non
         assert threading.active_count() <= before + MAX_PEERS
         for peer in peers:
             peer.close()
-        deadline_s = time.monotonic() + 10
-        while threading.active_count() > before and time.monotonic() < deadline_s:
-            time.sleep(0.02)
+        assert_threads_end(before)
         assert identity(transport, emulator) == IDENTITY
 
 
@@ -416,7 +419,10 @@ def throw(emulator: Emulator, data: bytes) -> None:
 @pytest.fixture(scope="module", params=ON_TCP)
 def target(request: pytest.FixtureRequest) -> Iterator[tuple[str, Emulator]]:
     with served(request.param) as emulator:
+        before = threading.active_count()
         yield request.param, emulator
+        # A connection keeps no thread, whatever it sent.
+        assert_threads_end(before)
 
 
 def assert_served_after(transport: str, emulator: Emulator, data: bytes) -> None:
