@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hpe_rig.cli.console import EXIT_DAMAGED, EXIT_NO_CHECKSUMS, guarded, printing, show
+from hpe_rig.cli.console import EXIT_DAMAGED, EXIT_NO_CHECKSUMS, announce, guarded, printing, show
 from hpe_rig.cli.options import (
     Estimator,
     Json,
@@ -43,18 +43,23 @@ def process(
     run_file: RunFile,
     result: ResultOptions,
     points: SweepOptions,
+    drift: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.runs import estimate_points, open_run, points_over, process as process_run
     from hpe_rig.scene import parse_axes
 
     _refuse_conflicts(points)
+    changes = points.changes
+    if drift is not None:
+        announce(f"--drift {drift} is --set processing.drift={drift} since version 1.0")
+        changes["processing.drift"] = drift
     if points.sweep:
-        run_points = points_over(open_run(run_file).with_(points.changes), parse_axes(points.sweep), points.together)
+        run_points = points_over(open_run(run_file).with_(changes), parse_axes(points.sweep), points.together)
         estimates = estimate_points(run_points, result.estimator)
     else:
         step_m = _step_m(points.gate_profile_step)
-        estimates = process_run(run_file, result.estimator, Stages(), step_m, points.changes)
+        estimates = process_run(run_file, result.estimator, Stages(), step_m, changes)
     show(estimates, result)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from warnings import warn
 
 import numpy as np
 
@@ -183,6 +184,11 @@ class Run:
         """
         changed = replace(self, changes={**self.changes, **values})
         return changed._reprocessed(values) if values else self
+
+    def with_drift(self, drift: str | None) -> Run:
+        """Return the run with another processing.drift: the earlier name of ``with_``, with a warning."""
+        warn("with_drift is with_({'processing.drift': ...}) since version 1.0", FutureWarning, stacklevel=2)
+        return self if drift is None else self.with_({"processing.drift": drift})
 
     def _reprocessed(self, values: Mapping[str, Any]) -> Run:
         from hpe_rig.runs.reprocessing import reprocessed

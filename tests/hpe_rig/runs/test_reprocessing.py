@@ -53,6 +53,15 @@ def test_process_has_the_settings_of_run_and_names_the_fit_for_an_estimator_that
     assert "WARNING estimated with other settings than the scene's: processing.harmonic = kalman" in accepted
 
 
+def test_the_earlier_names_for_a_linear_drift_work_with_a_warning(run: hpe.Run) -> None:
+    settings = {"processing.drift": "linear"}
+    with pytest.warns(FutureWarning, match=r"with_\(\{'processing\.drift'"):
+        assert run.with_drift("linear").changes == settings
+    text = printed("process", run.path, "--drift", "linear")
+    assert "--drift linear is --set processing.drift=linear since version 1.0" in text
+    assert "WARNING estimated with other settings than the scene's: processing.drift = linear" in text
+
+
 def test_settings_of_the_acquisition_are_refused(run: hpe.Run) -> None:
     with pytest.raises(SettingsError, match=r"tracking\.pulse_rate_hz: cannot change after the measurement"):
         run.with_({"tracking.pulse_rate_hz": 3e3})
