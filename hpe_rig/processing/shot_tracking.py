@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 MotionFunction = Callable[[EchoGate], Motion]
 NO_RECORDS = "no record was acquired"
+ALL_CLIPPED = "every record reaches the digitizer's full scale in the gate"
+"""Reason why a shot is not to be trusted: clipped echoes change amplitude and phase by more than u."""
 DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-rig verify lists them"
 
 
@@ -119,6 +121,13 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
         ),
         tonebursts=None if max(assignment.shifts) else toneburst_phases(shot, stored, placement),
     )
+
+
+def clipped_count(records: ShotRecords, selection: Selection, motion: WindowMotion) -> int:
+    """Return the number of used pulses in the window at the digitizer's full scale."""
+    at_full_scale = records.statistics.at_full_scale(records.gate.code_limits)[selection.window]
+    # A disturbance that omits a pulse may also reach full scale, which a larger input range does not mend.
+    return int((at_full_scale & motion.echoes.valid).sum())
 
 
 def window_motion(

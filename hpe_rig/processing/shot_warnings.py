@@ -65,10 +65,6 @@ DEVIATION_CAUSES = {
 """Likely cause of pulses with deviating energy, by their position."""
 
 
-ALL_CLIPPED = "every record reaches the digitizer's full scale in the gate"
-"""Reason why a shot is not to be trusted: clipped echoes change amplitude and phase by more than u."""
-
-
 def record_warnings(damaged: BoolArray, deviating: int, clipped: int, position: str) -> Iterator[str]:
     """Yield warnings of damaged records, of pulses omitted for their energy, and of clipped records.
 

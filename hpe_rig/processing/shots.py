@@ -45,9 +45,15 @@ from hpe_rig.processing.shot_fitting import (
     shot_drift,
     shot_prior,
 )
-from hpe_rig.processing.shot_tracking import NO_RECORDS, ShotRecords, WindowMotion, read_shot
-from hpe_rig.processing.shot_warnings import (
+from hpe_rig.processing.shot_tracking import (
     ALL_CLIPPED,
+    NO_RECORDS,
+    ShotRecords,
+    WindowMotion,
+    clipped_count,
+    read_shot,
+)
+from hpe_rig.processing.shot_warnings import (
     clock_warnings,
     drift_warnings,
     first_pulse_warnings,
@@ -234,7 +240,7 @@ def _estimate_window(
         ]
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
-    line, clipped = _line(motion, selection, options), _clipped_count(records, selection, motion)
+    line, clipped = _line(motion, selection, options), clipped_count(records, selection, motion)
     return ShotResult(
         **(_settings_of(scene, shot) | _rates_of(time_base)),
         pulses_used=int(motion.echoes.valid.sum()),
@@ -341,13 +347,6 @@ def _fit_with_aliasing(
         with suppress(ValueError):
             return with_aliasing_error(fit, motion.coherent, prior, fitter, options.background_order)
     return fit
-
-
-def _clipped_count(records: ShotRecords, selection: Selection, motion: WindowMotion) -> int:
-    """Return the number of used pulses in the window at the digitizer's full scale."""
-    at_full_scale = records.statistics.at_full_scale(records.gate.code_limits)[selection.window]
-    # A disturbance that omits a pulse may also reach full scale, which a larger input range does not mend.
-    return int((at_full_scale & motion.echoes.valid).sum())
 
 
 def _record_warnings(

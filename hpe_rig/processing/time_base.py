@@ -32,7 +32,15 @@ from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT, RateError, estimate_rate_error, with_rate_error
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_fitting import HarmonicFitter, available_prior, options_of, shot_drift, shot_prior
-from hpe_rig.processing.shot_tracking import MotionFunction, ShotRecords, WindowMotion, read_shot, window_motion
+from hpe_rig.processing.shot_tracking import (
+    ALL_CLIPPED,
+    MotionFunction,
+    ShotRecords,
+    WindowMotion,
+    clipped_count,
+    read_shot,
+    window_motion,
+)
 from hpe_rig.processing.toneburst_phases import ToneburstPhases
 from hpe_rig.processing.tracking_rate import TrackingRate
 from hpe_rig.scene import UNSTATED_FREQUENCY_ACCURACY, Scene
@@ -261,11 +269,14 @@ def shot_fit(
     """Return amplitude and phase of one shot in the processing window, with the covariance between all harmonics.
 
     ``stored``: run with its records. ``control``: motion without tonebursts, which is subtracted. The covariances of
-    the fit include those of the rate error and of the control. Raises ``ValueError`` if the shot cannot be estimated.
+    the fit include those of the rate error and of the control. Raises ``ValueError`` if the shot cannot be estimated,
+    or if all its records are clipped.
     """
     spec, selection = spec_of(estimator), select(scene, shot)
     clocks, records = clocks_of(scene, stored), read_shot(scene, shot, stored)
     motion, time_base = timed_motion(scene, shot, records, spec.motion, clocks, beams, control)
+    if clipped_count(records, selection, motion) == motion.echoes.valid.sum():
+        raise ValueError(ALL_CLIPPED)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
     fitter = HarmonicFitter.of(selection, spec.name, options)
     if scene.processing.drift == "none":
