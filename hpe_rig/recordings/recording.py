@@ -293,8 +293,8 @@ class _Reader:
         if self.for_map:
             return np.ones(values.shape[:3], np.bool_)
         # One shot in memory at a time.
-        finite: BoolArray = np.array([[_are_finite(shot) for shot in line] for line in values], np.bool_)
-        constant: BoolArray = np.array([[_are_constant(shot) for shot in line] for line in values], np.bool_)
+        flags = np.array([[(_are_finite(shot), _are_constant(shot)) for shot in line] for line in values], np.bool_)
+        finite, constant = flags[:, :, 0], flags[:, :, 1]
         not_finite = int((~finite).sum())
         if not_finite and self.settings.not_finite != "missing":
             what = f"{not_finite} of {finite.size} records hold values that are not finite: {_list_records(~finite)}"
