@@ -114,8 +114,9 @@ def with_u(value: float, uncertainty: float) -> str:
 
 
 def plain(value: float, uncertainty: float) -> str:
-    """Return ``value`` with as many decimals as two digits of its uncertainty, at most six."""
-    if not (math.isfinite(uncertainty) and uncertainty > 0):
+    """Return ``value`` with as many decimals as two digits of its uncertainty; beyond six, with four digits."""
+    # An uncertainty that six decimals would show as zero keeps its own digits.
+    if not (math.isfinite(uncertainty) and uncertainty >= 5e-7):
         return f"{value:.4g}"
     decimals = 1 - math.floor(math.log10(float(f"{uncertainty:.1e}")))
     return f"{value:z.{min(max(decimals, 0), 6)}f}"

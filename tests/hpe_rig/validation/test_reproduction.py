@@ -84,6 +84,7 @@ def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
     assert judgement.number(0.8150, 0.001, 0.818, 0.0005).verdict == AGREES
     assert judgement.number(0.8150, 0.001, 0.819, 0.0005).verdict == DIFFERS
     assert with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
+    assert with_error(0.0123, 4e-8) == "0.0123 ± 4e-08"
 
 
 def test_few_draws_that_agree_with_any_number_do_not_decide() -> None:
