@@ -219,7 +219,6 @@ def _estimate_window(
     """
     spec, selection = settings.spec, select(scene, shot)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
-    # Records to displacement of each pulse to harmonics.
     motion, time_base = timed_motion(scene, shot, records, spec.motion, settings.clocks, settings.beams, control)
     drift = _drift(scene, shot, motion, selection, options, settings)
     removed_drift = drift if scene.processing.drift == "linear" else None
