@@ -235,6 +235,14 @@ class World:
         """Return whether each generator's output is on, by role."""
         return {role: generator.registers.output for role, generator in self._generators.items()}
 
+    def is_capturing(self) -> bool:
+        """Return whether the digitizer waits for records; without a call, a capture ends with its last record."""
+        return (
+            self.board.running
+            and self.triggers(self.clock.now_ps).complete(self.clock.now_ps)
+            < self.board.armings[-1].settings.record_count
+        )
+
     def emissions(self) -> tuple[Bursts, Bursts, dict[str, int]]:
         """Return tonebursts and tracking pulses at the transducer, and the number of ignored triggers by role.
 

@@ -290,8 +290,7 @@ def faults_of(tap: Tap, error: BaseException | None, path: Path, whole: StoredRu
         on = [role for role, on in world.outputs_on().items() if on and role not in reported]
         yield from (f"{role} on and not reported" for role in on)
     if "digitizer" not in reported:
-        complete = world.triggers(world.clock.now_ps).complete(world.clock.now_ps) if world.board.running else 0
-        if world.board.running and complete < world.board.armings[-1].settings.record_count:
+        if world.is_capturing():
             yield "digitizer capturing and not reported"
         if any(not buffer.freed for buffer in tap.buffers):
             yield "buffers not freed"

@@ -175,7 +175,7 @@ class Rig:
 
 def asked(address: str, query: str) -> bool:
     host, port = address.split("::")[1:3]
-    with socket.create_connection((host, int(port)), timeout=5.0) as line:
+    with socket.create_connection((host, int(port)), timeout=20.0) as line:
         line.sendall(f"{query}\n".encode())
         return int(line.makefile().readline()) == 1
 

@@ -228,7 +228,7 @@ class Rig:
 
 def is_on(address: str) -> bool:
     host, port = address.split("::")[1:3]
-    with socket.create_connection((host, int(port)), timeout=5.0) as line:
+    with socket.create_connection((host, int(port)), timeout=20.0) as line:
         line.sendall(b"OUTP?\n")
         return int(line.makefile().readline()) == 1
 

@@ -55,7 +55,7 @@ def served(instrument) -> Iterator[str]:
         listener.close()
         for peer in peers:
             with_shutdown(peer)
-        thread.join(timeout=5)
+        thread.join(timeout=30)
         assert not thread.is_alive()
 
 
@@ -235,7 +235,7 @@ def terminal(converse: Callable[[IO[bytes]], None]) -> Iterator[str]:
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
     yield os.ttyname(client)
-    thread.join(timeout=5)
+    thread.join(timeout=30)
     os.close(server)
     os.close(client)
 

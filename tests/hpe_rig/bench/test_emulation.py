@@ -49,9 +49,9 @@ def emulated(real: Path, free_port: int) -> Path:
     path = real.with_name("emulated.toml")
 
     def ask_master_and_interrupt(_: float) -> None:
-        with socket.create_connection(("127.0.0.1", free_port), timeout=5) as line:
+        with socket.create_connection(("127.0.0.1", free_port), timeout=20) as line:
             line.sendall(b"*IDN?\n")
-            assert b"33250A" in line.recv(200)
+            assert b"33250A" in line.makefile("rb").readline()
         raise KeyboardInterrupt
 
     with patch("hpe_rig.bench.emulation.time", SimpleNamespace(sleep=ask_master_and_interrupt)):

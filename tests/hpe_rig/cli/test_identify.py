@@ -115,6 +115,7 @@ def test_a_dry_run_writes_every_serial_number_and_keeps_comments_layout_and_righ
 def test_exchanged_instruments_are_written_by_their_true_roles_and_refused_until_addresses_are_exchanged(
     bench: Path, start: Callable[[], Terminal]
 ) -> None:
+    bench.chmod(0o640)
     before = bench.read_text(encoding="utf-8")
     person = start()
     answers = {"toneburst": "tracking pulser", "tracking_pulser": "toneburst"}
@@ -128,8 +129,9 @@ def test_exchanged_instruments_are_written_by_their_true_roles_and_refused_until
     assert person.end() == 1
     assert "exchange these addresses" in person.text
     assert read_bench(bench).bench.serials["toneburst"] == "SIM_BOX_5"
-    # Comments and layout are as before.
+    # Comments, layout and rights are as before.
     assert re.sub(r"^serial = .*\n", "", bench.read_text(encoding="utf-8"), flags=re.M) == before
+    assert bench.stat().st_mode & 0o777 == 0o640
     result = CliRunner().invoke(app, ["bench", str(bench)])
     assert result.exit_code == 1
     assert "toneburst: serial number SIM_BOX_3, which is that of tracking_pulser" in result.output

@@ -69,6 +69,8 @@ def test_check_prints_the_forecast_for_several_offsets_or_the_reason_against_it(
     assert len(line) == 1
     assert "from 5 lateral offsets" in line[0]
     setup = prepare(hpe.load_scene("gelatin-moduli").with_({"simulation.receiver.snr_db": 80.0}), None)
+    one_offset = setup.scene.scene.with_({"sweep.lateral_offset_m": [1e-3]})
+    assert list(moduli_text(one_offset, setup.plan)) == []
     flat = setup.scene.scene.with_(
         {"beams.excitation_width_m": [0.34e-3, 0.2e-3, 3.6e-3], "simulation.specimen.field": "gaussian"}
     )

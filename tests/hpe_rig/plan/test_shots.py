@@ -62,7 +62,7 @@ def test_a_scene_that_pushes_nothing_has_no_toneburst_and_bursts_of_no_length() 
 
 
 FAST = ((2500.0, 200e-6), (5000.0, 50e-6))
-"""Each pulse rate and each burst length at least once; the other pairs are marked slow."""
+"""Two rates and two burst lengths; the other pairs are marked slow."""
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def served(transport: str) -> Iterator[Emulator]:
 
 @contextmanager
 def connected(emulator: Emulator) -> Iterator[socket.socket]:
-    with socket.create_connection(("127.0.0.1", tcp_port(emulator)), timeout=5) as peer:
+    with socket.create_connection(("127.0.0.1", tcp_port(emulator)), timeout=20) as peer:
         yield peer
 
 
@@ -119,13 +119,13 @@ def opened_terminal(emulator: Emulator) -> Iterator[int]:
         os.close(descriptor)
 
 
-def ask_terminal(descriptor: int, message: bytes) -> bytes:
-    received, deadline_s = b"", time.monotonic() + 10
+def ask_terminal(descriptor: int, message: bytes, ending: bytes = b"\n") -> bytes:
+    received, deadline_s = b"", time.monotonic() + 30
     while message:
         select.select([], [descriptor], [], 1.0)
         with suppress(BlockingIOError):
             message = message[os.write(descriptor, message) :]
-    while not received.endswith(b"\n") and time.monotonic() < deadline_s:
+    while not received.endswith(ending) and time.monotonic() < deadline_s:
         if select.select([descriptor], [], [], 0.5)[0]:
             received += os.read(descriptor, 4096)
     return received
@@ -155,8 +155,8 @@ def identity(transport: str, emulator: Emulator) -> bytes:
             # The line feed ends incomplete messages of other clients.
             while select.select([descriptor], [], [], 0.1)[0]:
                 os.read(descriptor, 4096)
-            reply = ask_terminal(descriptor, b"\n*IDN?\n")
-            return reply[reply.rfind(IDENTITY) :]
+            # Replies to other clients may come late.
+            return ask_terminal(descriptor, b"\n*IDN?\n", IDENTITY)[-len(IDENTITY) :]
     with connected(emulator) as peer:
         return reply_over(transport, peer, b"*IDN?")
 
@@ -170,8 +170,8 @@ def hung_up(peer: socket.socket) -> bool:
 
 
 def assert_threads_end(before: int) -> None:
-    """Wait until no more than ``before`` threads run, at most 10 s."""
-    deadline_s = time.monotonic() + 10
+    """Wait until no more than ``before`` threads run, at most 30 s."""
+    deadline_s = time.monotonic() + 30
     while threading.active_count() > before and time.monotonic() < deadline_s:
         time.sleep(0.02)
     assert threading.active_count() <= before
