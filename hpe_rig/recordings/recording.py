@@ -178,11 +178,7 @@ class _Reader:
         position_m = statements.line_positions_m(values.shape[0])
         empty_lines = np.flatnonzero(~recorded.any(axis=(1, 2))) + 1
         values, recorded, position_m = self._select_lines(values, recorded, position_m)
-        if not recorded.any():
-            listed = ", ".join(map(str, empty_lines[:MAX_LISTED]))
-            # A record of a mean is missing if it is missing in one of the lines.
-            what = f"no selected record holds an echo ({plural(empty_lines.size, 'line')} without any: {listed or '-'})"
-            statements.add_mistake("lines", what, "other lines, or another array")
+        self._check_any_echo(recorded, empty_lines)
         if rate_hz is not None and carrier_hz:
             values, demodulation_hz = self._with_checked_carrier(values, rate_hz, carrier_hz, demodulation_hz)
         if (
@@ -219,6 +215,15 @@ class _Reader:
             demodulation_hz=demodulation_hz,
             quantity=kind_of(self.settings.quantity),
         )
+
+    def _check_any_echo(self, recorded: NDArray[np.bool_], empty_lines: NDArray[np.intp]) -> None:
+        """Add a mistake if no selected record holds an echo. ``empty_lines``: numbers of the lines without any."""
+        if recorded.any():
+            return
+        listed = ", ".join(map(str, empty_lines[:MAX_LISTED]))
+        # A record of a mean is missing if it is missing in one of the lines.
+        what = f"no selected record holds an echo ({plural(empty_lines.size, 'line')} without any: {listed or '-'})"
+        self.statements.add_mistake("lines", what, "other lines, or another array")
 
     def _rates(self, axes: tuple[Dimension, ...]) -> tuple[float | None, float | None, float | None]:
         """Return sampling rate, carrier and sound speed; the carrier of a motion is 0."""

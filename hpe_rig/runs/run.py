@@ -157,7 +157,7 @@ class Run:
 
     def _omitted_truth(self) -> Iterator[tuple[str, str]]:
         if self.stored.simulated and self.stored.true_displacement_m is None:
-            yield "comparison with true values", "the run file holds those of other frequencies"
+            yield "comparison with true values", "the run file holds those of other frequencies or another depth"
 
     def sweep(
         self, axes: Mapping[str, Sequence[float]], *, together: bool = False, estimator: str | None = None
@@ -195,8 +195,9 @@ class Run:
 
         scene, plan, findings = reprocessed(self.scene, self.bench, self.plan, values, self.path.name)
         stored, frequencies_hz = self.stored, scene.wanted_frequencies_hz
-        # The file holds true amplitudes and phases at the frequencies of its own scene, in their order.
-        if frequencies_hz != self.scene.wanted_frequencies_hz[: len(frequencies_hz)]:
+        # The file holds true amplitudes and phases at the frequencies and the gate depth of its own scene, in order.
+        same_depth = scene.acquisition.gate_depth_m == self.scene.acquisition.gate_depth_m
+        if not same_depth or frequencies_hz != self.scene.wanted_frequencies_hz[: len(frequencies_hz)]:
             stored = replace(stored, true_displacement_m=None)
         return replace(self, scene=scene, plan=plan, findings=findings, stored=stored)
 

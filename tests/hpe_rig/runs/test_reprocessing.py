@@ -36,13 +36,16 @@ def test_another_fit_of_a_stored_run_gives_the_result_of_a_scene_with_it_and_say
     }
 
 
-def test_true_values_are_left_out_at_frequencies_of_which_the_file_holds_none(run: hpe.Run) -> None:
+def test_true_values_are_left_out_at_frequencies_and_depths_of_which_the_file_holds_none(run: hpe.Run) -> None:
     (usual,) = run.with_({"processing.frequencies_hz": [200.0]}).estimate().shots[0].estimates
     assert usual.true_amplitude_m == pytest.approx(1e-6)
-    result = run.with_({"processing.frequencies_hz": [190.0]}).refreshed().estimate()
-    (other,) = result.shots[0].estimates
-    assert (other.true_amplitude_m, other.phase_error_rad) == (None, None)
-    assert ("comparison with true values", "the run file holds those of other frequencies") in result.omitted
+    gate_depth_m = run.scene.acquisition.gate_depth_m
+    for changed in ({"processing.frequencies_hz": [190.0]}, {"acquisition.gate_depth_m": gate_depth_m + 1e-3}):
+        result = run.with_(changed).refreshed().estimate()
+        other = result.shots[0].estimates[0]
+        assert (other.true_amplitude_m, other.phase_error_rad) == (None, None)
+        omitted = ("comparison with true values", "the run file holds those of other frequencies or another depth")
+        assert omitted in result.omitted
 
 
 def test_process_has_the_settings_of_run_and_names_the_fit_for_an_estimator_that_is_one(run: hpe.Run) -> None:
