@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -78,14 +77,13 @@ def test_without_pacing_the_line_of_these_tests_loses_bytes(scripted) -> None:
 
 
 def test_an_instrument_that_reads_nothing_is_a_lost_connection_within_two_time_outs(scripted) -> None:
-    with narrow_line(scripted(replies={"*ESE": "0"}), busy_s=0.6) as server:
+    with narrow_line(scripted(replies={"*ESE": "0"}), busy_s=2.0) as server:
         connection = VisaConnection(server.address, 0.1, backend="@py")
-        start_s = time.monotonic()
         for command in settings(4):
             connection.write(command)
+        # Once the instrument reads again, after 2 s, there is no error.
         with pytest.raises(ConnectionError, match=r"has not read \d+ bytes within 0\.2 s"):
             connection.write(*settings(1))
-        assert time.monotonic() - start_s < 0.55
         connection.close()
 
 

@@ -50,7 +50,7 @@ class Terminal:
         while words not in self.text[self._answered :]:
             assert time.monotonic() < deadline_s, self.text
             if select.select([self._controller], [], [], 0.5)[0]:
-                self.text += os.read(self._controller, 4096).decode()
+                self.text += os.read(self._controller, 4096).decode(errors="replace")
         self._answered = self.text.index(words, self._answered) + len(words)
 
     def answer(self, text: str) -> None:
@@ -66,7 +66,7 @@ class Terminal:
                 break
             if not part:
                 break
-            self.text += part.decode()
+            self.text += part.decode(errors="replace")
         return self.process.wait(timeout=30)
 
     def close(self) -> None:
