@@ -136,7 +136,9 @@ def dispersion_of_vibrations(
 ) -> DispersionResult:
     """Return phase velocity and attenuation of shear waves from ``vibrations`` under ``push``.
 
-    ``omitted``: data that were left out before, in words. Raises ``ValueError`` as ``dispersion_of``.
+    ``near_field`` of the result is fitted with the exact field of the push; ``methods`` assume plane or cylindrical
+    waves. ``omitted``: data that were left out before, in words. Raises ``ValueError`` if no frequency has vibrations
+    at ``MIN_OFFSETS`` lateral offsets, and as ``fit_wavenumbers``.
     """
     selected, too_few = _at_enough_offsets(vibrations, omitted)
     fit = fit_wavenumbers(selected, push)
