@@ -27,8 +27,8 @@ from hpe_rig.scene import Scene
 def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[float, float, FloatArray]:
     """Return the relative uncertainty of the clocks' rate before and after the fit, and its effect on the phases.
 
-    The effect, rad (frequency,), is the standard uncertainty of the phase of each wanted harmonic by the rate alone.
-    All are 0 with a linear drift, which contains the rate error.
+    The effect, rad (frequency,), is the standard uncertainty of each wanted harmonic's phase due to the rate alone. All
+    three are 0 if the fit includes a linear drift: a rate error cannot be told from a drift, which absorbs it.
     """
     prior_u = prior_rate_error(scene, clock_covariance(scene, bench), None).uncertainty
     if scene.processing.drift == "linear":
@@ -45,8 +45,9 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
         information = float(slope_m_per_s @ slope_m_per_s) * time_s.size * float(np.var(time_s)) / (2 * noise_m**2)
         posterior_u = 1 / math.sqrt(1 / prior_u**2 + information)
     if _second_input_is_connected(bench):
+        # The second input records the tonebursts themselves, so that their rate is measured without the displacement.
         posterior_u = predicted_uncertainty(shot, posterior_u) or posterior_u
-    # The rate acts about the mean time of the pulses, which is this late after the time zero of the stated phases.
+    # A rate error turns the phases about the mean time of the pulses. ``mean_s`` is from the time of the stated phases.
     mean_s = float(time_s.mean()) - phase_reference_of(scene, shot).delay_s if time_s.size else 0.0
     return prior_u, posterior_u, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * posterior_u)
 
