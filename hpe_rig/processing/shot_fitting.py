@@ -50,12 +50,14 @@ def shot_drift(
 ) -> Drift:
     """Return the change of a shot's ``motion`` over the window; raise ``ValueError`` if it cannot be fitted.
 
-    It is that of the coherent displacement, which has least noise, if there is one. ``options`` should have the prior
-    of media if one is available, whether or not the fit uses it.
+    The change is estimated from the coherent displacement if there is one, since it has least noise, else from the
+    tracked displacement. Supply the prior of media in ``options.prior`` if one is available, even if the harmonic fit
+    of the shot does not use it: it models the harmonics of tonebursts that would otherwise look like a drift.
     """
     return drift_of(
         motion.tracked if motion.coherent is None else motion.coherent,
         selection.wanted_hz,
+        # The tonebursts push at all these harmonics of their rate, wanted or not.
         also_hz=selection.driven_hz,
         background_order=options.background_order,
         prior=options.prior,
