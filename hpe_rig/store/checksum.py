@@ -39,7 +39,8 @@ MAX_HEAP_PART_BYTES: Final = 1 << 24
 def digest(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
     """Return the BLAKE2b of ``contents``, the bytes in row or chunk ``index`` of dataset ``name``; never zero.
 
-    For what never changes, and for everything in format version 2; ``crc`` for the others.
+    It is the checksum of datasets that never change after the start of a run, of the heap, and of all data in format
+    version 2. Later versions use ``crc`` for data that arrive during a run. Zero means that no checksum was written.
     """
     # Name and index are part of the checksum, so that exchanged rows or chunks are detected.
     checksum = blake2b(f"{name} {index}".encode(), digest_size=8)
