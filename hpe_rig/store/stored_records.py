@@ -256,10 +256,11 @@ class StoredGroundTruth:
     records: StoredRecords
 
     def __getitem__(self, shot: int) -> FloatArray:
-        """Return the true displacement at every record of ``shot``, m; NaN if missing or damaged."""
+        """Return the true displacement (pulse,) of ``shot``, m; NaN for a pulse without a record or if damaged."""
         with self.records.open() as checked:
             shot = shot_index(shot, checked.shape[0])
-            row_m: FloatArray = checked_row(checked, "truth/displacement_m", shot)[0]
+            row_m, _ = checked_row(checked, "truth/displacement_m", shot)
+            # The row (record,) is NaN if damaged. ``record`` (pulse,): index of each pulse's record in it, -1 for none.
             record = placement_of(checked, shot, arrival_of(checked, shot)).record
             return np.where(record >= 0, row_m[np.maximum(record, 0)], np.nan)
 
