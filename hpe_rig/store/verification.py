@@ -44,7 +44,10 @@ class Verification:
     torn_bytes: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON values; shots and records count from 1."""
+        """Return the attributes of this verification, and ``sound``, as JSON values; shots and records count from 1.
+
+        ``sound``: the file has checksums, and no damage.
+        """
         damage = [
             asdict(item)
             | {
