@@ -358,9 +358,9 @@ class Acoustics:
     ) -> None:
         """Add echoes to the records, for a background motion that delays them by any number of samples.
 
-        All echoes are computed at the same sample times after the onset of their burst, delayed with the specimen
-        (``background_delay_s``, (burst,)). Each is then added to its record at the samples nearest to these times. The
-        difference, less than half a sample, shifts the delays of its scatterers.
+        ``background_delay_s`` (burst,): delay of each burst's echoes by the background motion. The time from a delayed
+        onset to its record is split into whole samples and a remainder of at most half a sample. An echo is computed
+        with its scatterers' delays shifted by the remainder, then added to the record at the whole-sample position.
         """
         onset_ps, period_ps = train.passage.onset_ps, capture.sample_period_ps
         delay_ps = background_delay_s * PS_PER_S
@@ -368,7 +368,7 @@ class Acoustics:
         burst, record = burst_record_pairs(delayed_onset_ps + train.start_ps, delayed_onset_ps + train.end_ps, capture)
         if len(burst) == 0:
             return
-        # Time of a record's first sample after the delayed onset: whole sample periods, and the shift that remains.
+        # Time from the delayed onset to a record's first sample: whole sample periods, and the remainder ``shift_s``.
         age_ps = capture.first_sample_ps[record] - onset_ps[burst] - delay_ps[burst]
         age_periods = np.rint(age_ps / period_ps).astype(np.int64)
         shift_s = (age_ps - age_periods * period_ps) / PS_PER_S
