@@ -26,7 +26,7 @@ CACHED_BLOCKS = 9
 
 
 class _Segment(NamedTuple):
-    """Consecutive records with one snapshot of the bench, up to the first record of the next segment."""
+    """Consecutive records with one snapshot of settings and signals, up to the next segment's first record."""
 
     first_record: int
     captured: CaptureSnapshot
@@ -45,11 +45,13 @@ class Recording:
     def __init__(self, record_volts: RecordVolts) -> None:
         """Start without records; ``record_volts`` computes the voltages of records from bursts and times."""
         self._record_volts = record_volts
-        # Later programming does not change complete records: they stay in the segment of their snapshot.
+        # Each segment has the instrument settings at the acquisition of its records. A complete record stays in its
+        # segment, so that its voltages do not change if an instrument is set differently before they are computed.
         self._segments: list[_Segment] = []
         self._complete_records = 0
         self._blocks: dict[_BlockKey, FloatArray] = {}
-        # Running maximum of the voltage over the records, one array a block.
+        # Largest absolute voltage from the first record to each record, (record,), one array a block. The digitizer's
+        # status needs it to report clipping, also after a block's voltages have left the cache.
         self._running_peak_v: list[FloatArray] = []
 
     def update(self, captured: CaptureSnapshot, now_ps: int) -> None:
