@@ -177,10 +177,10 @@ def _usable_method(
 def _series_by_blocks(
     delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, tolerance: float
 ) -> FloatArray:
-    """Return the echoes (echo, sample) by the power series, computed for one block of samples after another.
+    """Return the echoes (echo, sample) by a power series in the displacements, one block of samples after another.
 
-    A block is at most as long as the pulse, the longest time that `series` accepts. ``delays`` and ``weight``: of all
-    scatterers; a block includes those that can reach it.
+    A block is at most as long as the pulse, the longest time that `series` accepts. ``delays`` and ``weight`` are those
+    of all scatterers; each block sums only the scatterers with an echo that can overlap it.
     """
     # `series` needs ascending delays.
     if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
@@ -193,7 +193,7 @@ def _series_by_blocks(
         time_s = sample_time_s[block]
         # Far from the origin of time the phases of the exponentials lose digits, so each block has an origin near it.
         origin_s = local_origin_s(time_s, pulse)
-        # Delays at rest of the scatterers that reach the block; one more on either side because the limits are rounded.
+        # Delays at rest of scatterers with echoes in the block; one more on either side because the limits are rounded.
         min_s, max_s = time_s[0] - pulse.end_s - max_change_s, time_s[-1] - pulse.start_s + max_change_s
         first, end = np.searchsorted(delays.rest_s, [min_s, max_s])
         reaching = slice(max(0, int(first) - 1), int(end) + 1)
@@ -203,6 +203,7 @@ def _series_by_blocks(
             rest_s=near.rest_s - origin_s,
             weight=weight[reaching],
             shape=near.shape,
+            # Change of delay, s, where a spatial shape of the motion is 1: (row, echo, shape).
             amplitude_s=near.amplitude_s[None],
             response=near.response,
         )
