@@ -136,11 +136,13 @@ def reflector_points(reflector: Reflector, beams: Beams) -> tuple[FloatArray, Fl
 def field_at(
     offset_m: FloatArray, beams: Beams, reflectivity: FloatArray | None = None, motion_share: FloatArray | None = None
 ) -> ScattererField:
-    """Return the weights of scatterers at ``offset_m`` (scatterer, 3) from the focus, in the beams and in the motion.
+    """Return scatterers at ``offset_m`` (scatterer, 3) from the focus, sorted by depth, with their weights.
 
-    ``reflectivity`` and ``motion_share`` (scatterer,) default to 1; the share is 0 for a reflector at rest.
+    The weights are those in the tracking beam, in the excitation beam and in the motion of the medium. ``reflectivity``
+    (scatterer,) defaults to 1, as does ``motion_share`` (scatterer,), the fraction of the medium's motion that a
+    scatterer follows: 0 for a reflector at rest.
     """
-    # In ascending depth the running sums find their samples in order.
+    # Sorted once here, the delays at rest ascend, and the sums over scatterers need not sort them for each echo train.
     order = np.argsort(offset_m[:, 2], kind="stable")
     offset_m = offset_m[order]
     reflectivity = np.ones(len(order)) if reflectivity is None else reflectivity[order]
