@@ -249,7 +249,8 @@ def medium_motion(
     """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus under any train of tonebursts.
 
     It is a sum of a few modes, each a shape in space times a response in time. ``travel_s``: travel time of a burst to
-    the focus. The modes also cover the point ``lateral_offset_m`` off the axis. Needs ``settings.specimen``.
+    the focus. The modes also cover the point ``lateral_offset_m`` off the axis, on the axis of the tracking transducer,
+    where the true displacement is stated. Without ``settings.specimen`` the medium is the default ``Specimen``.
     """
     specimen = settings.specimen or Specimen()
     lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), offset_m[:, 2]
