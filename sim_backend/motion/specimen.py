@@ -234,10 +234,11 @@ def force_volume(width_m: Triple) -> float:
 
 
 def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
-    """Return a = sigma² / 2 (m²) of a Gaussian force along wave directions, and the weight of each direction.
+    """Return nodes a and weights for averages over wave directions of a Gaussian force, both (direction,).
 
-    Both (direction,). ``width_m``: sigmas of the force in x, y, z. sigma: that of the force along the direction. The
-    weights are for a mean over directions; they include the part 1 - m² of the force that drives shear waves.
+    a = sigma² / 2, m², is half the variance of the force along the direction. ``width_m``: sigmas of the force in
+    x, y, z. A weight includes sin² of the angle between direction and z axis, the fraction of a force along the axis
+    that drives shear waves.
     """
     wider_m, narrower_m = max(width_m[:2]), min(width_m[:2])
     # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, with r the ratio of the lateral widths.
