@@ -138,15 +138,16 @@ def _disturbed_records(shot: Shot, stored: StoredRun, name: str, delivered: Bool
 def _by_tonebursts(
     assignment: PulseAssignment, kinds: Int64Array, disturbed: BoolArray, timeless: bool
 ) -> PulseAssignment | None:
-    """Return the assignment for which the ``disturbed`` records (record,) are those of pulses near a toneburst.
+    """Return ``assignment`` with the pulses corrected by the tonebursts, which disturb the records near them.
 
-    ``kinds`` (pulse,): whether a pulse is ``CLEAN`` of tonebursts, ``NEAR`` or ``INSIDE`` one. ``timeless``: there are
-    no trigger times, so stray triggers are possible. None if the disturbed records do not follow the tonebursts at any
-    shift.
+    The shift of a record is the number of pulses by which its assigned pulse is wrong. ``kinds`` (pulse,): whether a
+    pulse is ``CLEAN`` of tonebursts, ``NEAR`` or ``INSIDE`` one. ``disturbed`` (record,): the record's energy deviates.
+    ``timeless``: no record has a usable trigger time, so stray triggers are possible. None if no shift fits.
     """
     placement = assignment.placement
     records = np.flatnonzero(placement.pulse >= 0)
-    # Lost triggers shift records to later pulses, stray triggers to earlier ones: the shifts to be compared.
+    # Lost triggers shift records to later pulses, stray triggers to earlier ones: the shifts to be compared. The pulses
+    # ``unlocated`` have no record and may come before the first record or after the last.
     strays = MAX_STRAY if timeless else 0
     shifts = np.arange(-strays, placement.unlocated + strays + 1)
     if records.size * shifts.size > MAX_TERMS:
@@ -154,7 +155,7 @@ def _by_tonebursts(
     # Kinds (record, shift) of the pulses that the records would have; -1 outside the train, which has no records.
     padded = np.concatenate([np.full(shifts.size, -1), kinds, np.full(shifts.size, -1)])
     shifted_kinds = padded[placement.pulse[records][:, None] + shifts + shifts.size]
-    # The shift may change where the number of pulses since the record before is assumed, not measured.
+    # The shift may change at ``loose`` records: their pulses are counted from the record before, not measured.
     changes = placement.loose[records] & (np.arange(records.size) > 0)
     log_change = CHANGE if timeless else float(np.log(JUMP_CHANGE / max(1, int(changes.sum()))))
     log_changes = np.where(changes, log_change, -np.inf)
@@ -174,14 +175,14 @@ def _by_tonebursts(
 
 
 def _posterior(kinds: Int64Array, disturbed: BoolArray, log_changes: FloatArray) -> tuple[FloatArray, float]:
-    """Return the probability of each shift at each record, (record, shift), and the evidence for any of them.
+    """Return the probability (record, shift) that a record's pulse number is wrong by each shift, and the evidence.
 
-    ``kinds`` (record, shift): kind of the pulse that the record would have, -1 outside the train. ``disturbed``
-    (record,). ``log_changes`` (record,): log probability that the shift changes at the record. Evidence is the
-    logarithm of the likelihood ratio to disturbances by chance.
+    The evidence is the log likelihood minus that of disturbances independent of the tonebursts. ``kinds`` (record,
+    shift): kind of the pulse that the record would have, -1 outside the train. ``disturbed`` (record,): the record's
+    energy deviates. ``log_changes`` (record,): log probability that the shift changes at the record.
     """
-    # ``rates``: fraction of disturbed records by kind of pulse. Shifts follow from the rates and rates from the shifts,
-    # in three rounds.
+    # A hidden Markov model whose states are the shifts. Three rounds of expectation maximization also estimate
+    # ``rates``, the fraction of disturbed records by kind of pulse.
     rates = np.array(START_RATES)
     for _ in range(3):
         # Log probability of an undisturbed and of a disturbed record, by kind of its pulse.
