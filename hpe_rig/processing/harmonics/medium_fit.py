@@ -115,11 +115,12 @@ def _step_noise(
     residual: FloatArray,
     step_noise_ratio: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return noise covariance (..., state, state) and degrees of freedom (...) for a displacement that adds up steps.
+    """Return noise covariance (..., state, state) and degrees of freedom (...) for a sum of noisy phase steps.
 
-    Its noise is white noise plus a random walk: each phase step adds ``step_noise_ratio`` times the white variance to
-    all later pulses. ``weights`` (..., state, pattern): from the coefficients of the data to the states. ``shrinkage``
-    (..., pattern): fraction of each pattern that the fit has removed from its ``residual`` (..., pulse).
+    The noise of such a displacement is white noise plus a random walk: each step from pulse to pulse adds
+    ``step_noise_ratio`` times the white variance to all later pulses. ``weights`` (..., state, pattern): from the
+    coefficients of the data to the states. ``shrinkage`` (..., pattern): fraction of each pattern in the data that the
+    fit takes up; the remainder is in its ``residual`` (..., pulse).
     """
     # The fit removes the background entirely, and of each pattern the fraction ``shrinkage``.
     columns = np.hstack([projected.background, projected.patterns])
@@ -132,6 +133,7 @@ def _step_noise(
     # random walk of n steps, minus its mean, has n / 6 times the variance of a step.
     explained_m2 = white_m2 * (1 + step_noise_ratio * len(projected.patterns) / 6)
     has_drift = evidence.noise_m2 > DRIFT_VARIANCE_RATIO * explained_m2
+    # The total exceeds the noise by the model error that the residual does not contain, which is added in any case.
     added_m2 = np.where(has_drift, evidence.total_noise_m2, evidence.total_noise_m2 - evidence.noise_m2)
     return covariance_m2 + added_m2[..., None, None] * _squares(weights), degrees
 
@@ -236,11 +238,11 @@ def medium_kalman(
     *,
     background_order: int = 0,
 ) -> MediumFit:
-    """Return the fit with a prior of media, and the correlation of the innovations of its Kalman filter.
+    """Return the fit of ``medium_fit``, with the correlation of the Kalman filter's innovations as a check.
 
-    States that never change have the closed form ``medium_fit``, so only the innovations come from the filter. Its
-    states are the coefficients of the patterns, of variance (k s l)² with the scale s and k = PRIOR_WIDENING, and the
-    background.
+    The states are constant over the train, so the filter's final estimate equals ``medium_fit``; only the innovations
+    come from the filter. States are the coefficients of the background and of the patterns. Those of patterns have
+    variance (k s l)²: k = PRIOR_WIDENING, s the rms displacement, l the standard deviation for 1 m rms.
     """
     closed_form = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
     evidence, projected = closed_form.evidence, closed_form.projected

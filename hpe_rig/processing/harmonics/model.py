@@ -89,12 +89,15 @@ class LinearModel:
 def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray, out: FloatArray | None = None) -> FloatArray:
     """Return sin and cos of 2 pi f t, interleaved, (pulse, 2 * frequency); written into ``out`` if given.
 
-    The cycles before the first pulse are counted in exact fractions: a train that starts at 1e5 s loses no phase.
+    The phase at the first pulse has no rounding error of its time: a train that starts at 1e5 s loses no phase.
     """
-    # The first pulse is at start / unit, s, and a frequency is cycles / seconds, Hz, all four integers.
-    start, unit = float(time_s[0]).as_integer_ratio()
+    # As exact fractions of integers, the first pulse is at start / start_divisor s and a frequency is cycles / seconds
+    # Hz. Their product modulo one cycle is computed in integers, without rounding.
+    start, start_divisor = float(time_s[0]).as_integer_ratio()
     ratios = [float(frequency).as_integer_ratio() for frequency in frequency_hz]
-    cycles_before = np.array([cycles * start % (seconds * unit) / (seconds * unit) for cycles, seconds in ratios])
+    cycles_before = np.array(
+        [cycles * start % (seconds * start_divisor) / (seconds * start_divisor) for cycles, seconds in ratios]
+    )
     angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + cycles_before)
     columns = np.empty((time_s.size, 2 * len(cycles_before))) if out is None else out
     np.sin(angle, out=columns[:, ::2])
@@ -121,20 +124,20 @@ def linear_model(
 ) -> LinearModel:
     """Return the linear model, sinusoids and a polynomial background, of the displacement at the valid pulses.
 
-    ``background_order``: 0 constant, 1 velocity, 2 acceleration, more: drift; -1 omits the background. ``also_hz`` are
-    further driven frequencies; from the lowest up, those that the pulses resolve become states. Raises ``ValueError``
-    for frequencies that are missing, repeated, not positive or at least half the pulse rate, for too few pulses, and
-    for frequencies too close to resolve in the length of the train.
+    ``background_order``: degree of the polynomial (0 constant, 1 velocity, 2 acceleration, more: drift), -1 for none.
+    ``also_hz``: further frequencies that the tonebursts drive; those that the pulses resolve are fitted as well, from
+    the lowest up. Raises ``ValueError`` for frequencies that are missing, repeated, not positive or at least half the
+    pulse rate, for too few pulses, and for frequencies too close to resolve in the length of the train.
     """
-    choice = tuple(frequency_hz.tolist()), tuple(np.asarray(also_hz).tolist()), background_order
+    terms = tuple(frequency_hz.tolist()), tuple(np.asarray(also_hz).tolist()), background_order
     if time_s.size > MAX_CACHED_PULSES:
-        return _model(time_s, valid, *choice)
-    return _cached_model(PulseTimes.of(time_s, valid), *choice)
+        return _model(time_s, valid, *terms)
+    return _cached_model(PulseTimes.of(time_s, valid), *terms)
 
 
 @lru_cache(maxsize=4)
-def _cached_model(pulses: PulseTimes, *choice: Any) -> LinearModel:
-    return _model(pulses.time_s, pulses.valid, *choice)
+def _cached_model(pulses: PulseTimes, *terms: Any) -> LinearModel:
+    return _model(pulses.time_s, pulses.valid, *terms)
 
 
 def _model(

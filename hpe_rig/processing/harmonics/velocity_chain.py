@@ -173,7 +173,8 @@ def velocity_noise(
        cross-spectrum jumps between two of equal height, and is 0 unless it is significant.
 
     Both come from the residual of ``model``, the second from its spectrum outside ``frequency_hz`` (Whittle
-    likelihood). Degrees of freedom: a third of the residual's expected energy, in variances of a pulse.
+    likelihood). Degrees of freedom: expected energy of the residual's displacement steps for pulse noise of unit
+    variance, over 3 (Satterthwaite, below).
     """
     residual = np.zeros(velocity.velocity_m_per_s.shape)
     residual[..., velocity.valid] = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[1]
