@@ -50,14 +50,16 @@ class ControlMotion:
 def control_motions(fits: Mapping[int, HarmonicFit]) -> dict[int, ControlMotion]:
     """Return the motion of every control (a shot without tonebursts), with the scatter between controls.
 
-    ``fits``: harmonics of each control, at least one. The scatter is the variance between them less their noise.
+    ``fits``: harmonics of each control, at least one. The scatter is 2 s², the variance of the difference of two shots;
+    s² is the variance between controls minus their noise, in one quadrature.
     """
     states_m = np.array([fit.state[: 2 * fit.frequency_hz.size] for fit in fits.values()])
     phasors_m = states_m[:, 0::2] + 1j * states_m[:, 1::2]
     count = len(phasors_m)
-    # A single control is compared with 0, the mean over random phases.
+    # The deviation of a single control is from 0, the mean over random phases.
     deviations_m = phasors_m - (phasors_m.mean(axis=0) if count > 1 else 0.0)
     freedom = 2 * max(count - 1, 1)
+    # Variances in one quadrature: the squared magnitude of a phasor contains two.
     between_m2 = np.sum(np.abs(deviations_m) ** 2, axis=0) / freedom
     noise_m2 = np.mean([_noise_m2(fit) for fit in fits.values()], axis=0)
     scatter_m2 = 2 * np.maximum(between_m2 - noise_m2, 0.0)

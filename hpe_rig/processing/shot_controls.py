@@ -30,7 +30,10 @@ class Controls:
 
 
 def estimate_controls(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -> Controls:
-    """Return the motion in all controls of ``plan``; its shots have one position of the tracking transducer."""
+    """Return the motion in each control of ``plan`` (a shot without tonebursts), in each processing window.
+
+    All shots of ``plan`` have one position of the tracking transducer.
+    """
     fits, failures = dict[int, list[HarmonicFit]](), dict[int, str]()
     for index, control in control_shots(plan).items():
         try:
@@ -39,6 +42,7 @@ def estimate_controls(scene: Scene, plan: Plan, stored: StoredRun, estimator: st
             failures[index] = f"shot {control.index + 1}: {error}"
     if not fits:
         return Controls(failures=failures)
+    # The scatter is that between controls, so it is estimated window by window; then the motions are sorted by control.
     windows = [
         control_motions({index: of_windows[number] for index, of_windows in fits.items()})
         for number in range(len(scene.windows))

@@ -183,12 +183,13 @@ def timed_motion(
 
 
 def measured_error(tonebursts: ToneburstPhases, by_clocks: RateError, by_displacement: RateError) -> RateError | None:
-    """Return the rate error that ``tonebursts`` at the second input measure; None if they leave several.
+    """Return the rate error that ``tonebursts`` at the second input measure; None if it is not certain.
 
-    Their phases alone do not determine the whole carrier periods between tonebursts. If the clocks' accuracies and the
-    displacement select different ones, or if the displacement excludes the selected one, none is certain: accuracies
-    may be wrong, and tissue that warms looks like a rate error. ``by_displacement`` has no uncertainty if a drift
-    contains the rate error.
+    Their phases alone do not determine the whole carrier periods between tonebursts. ``by_clocks`` and
+    ``by_displacement``, used as priors, select them. The result is None if neither prior does, if the two select
+    different periods, or if the displacement contradicts the selection: accuracies may be wrong, and tissue that warms
+    looks like a rate error. An uncertainty of 0 in ``by_displacement`` means that a drift contains the rate error: the
+    displacement then neither selects nor contradicts.
     """
     selected = [error for prior in (by_clocks, by_displacement) if (error := tonebursts.rate_error(prior)) is not None]
     if not selected or abs(selected[0].value - selected[-1].value) > SIGNIFICANT * selected[0].uncertainty:

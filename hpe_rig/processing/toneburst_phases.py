@@ -183,9 +183,9 @@ def _are_enough(time_s: FloatArray, burst_rate_hz: float) -> bool:
 
 
 def _records_tonebursts(shot: Shot) -> bool:
-    """Return whether the second input records tonebursts, in records that fit into one and into the pause between two.
+    """Return whether the second input records tonebursts, in records no longer than a toneburst and a pause.
 
-    A longer record is not mostly within a toneburst, or may hold two.
+    A record longer than a toneburst extends beyond it; one longer than the pause between tonebursts may contain two.
     """
     line, train = shot.timeline, shot.burst_train
     if shot.capture.monitor_range_v is None or shot.toneburst is None or train is None or shot.is_control:

@@ -355,8 +355,8 @@ class _Pixels:
     def _relative_variance(self, noise: SingleArray) -> SingleArray:
         """Return the relative variance (pixel,) of the metres per radian, from echo frequency and sound speed.
 
-        The frequency follows from the phase step between two samples, which has twice the noise variance of a phase,
-        the first column of ``noise`` (pixel, 3). Every ``ECHO_PULSE_STEP``-th pulse contributes to its mean.
+        ``noise`` (pixel, 3): its first column is the noise variance of one phase. The frequency follows from the phase
+        step between two samples, which has twice that variance. Its mean is over every ``ECHO_PULSE_STEP``-th pulse.
         """
         # The phase step of a sample at the carrier, which is nearly the echo's frequency.
         phase_per_sample = 2 * np.pi * self.settings.carrier_hz / self.settings.sample_rate_hz * self.decimation

@@ -28,9 +28,9 @@ def track_gate(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
 
     ``records`` (pulse, sample) are whole, without margins. The gate keeps the tissue that ``gate`` holds at the first
     valid pulse. The motion of the gate has variance 0; ``add_gate_motion`` adds it to the displacement within the gate,
-    estimated from the returned echoes. Their pulse times include the change of travel time, and their margins are as
-    wide as all records allow. Raises ``ValueError`` for more than one train, if a step exceeds a quarter wavelength,
-    and if the echoes leave the records.
+    estimated from the returned echoes. Their pulse times include the change of travel time. Their margins, samples on
+    either side of the gate, are as wide as all records allow. Raises ``ValueError`` for more than one train, if a step
+    exceeds a quarter wavelength, and if the echoes leave the records.
     """
     if records.volts.ndim != 2:
         raise ValueError(f"volts {records.volts.shape}: one train (pulse, sample) at a time can be followed")
@@ -49,7 +49,7 @@ def track_gate(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
 
     gate_m = shift * records.sound_speed_m_per_s / (2 * records.sample_rate_hz)
     time_s = records.pulse_time_s
-    # A pulse reaches tissue that has moved away by u later, by u / c.
+    # Tissue that has moved away by u is reached u / c later.
     delay_s = np.interp(time_s, time_s[records.valid], gate_m / records.sound_speed_m_per_s)
     echoes = replace(records, volts=tracked, pulse_time_s=time_s + delay_s, margin=margin)
     gate_motion = Motion(
