@@ -77,7 +77,8 @@ def averaging_text(scene: Scene) -> Iterator[str]:
 def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, simulated: bool = True) -> Iterator[str]:
     """Yield the lines that ``hpe-rig check`` prints: table, best estimator, settings that reach ``target_m``.
 
-    ``simulated``: the run would be one of the twin, so that its medium (the table [simulation]) is known.
+    ``target_m``: wanted error of the displacement, m. ``simulated``: the prediction is for a run with the twin, whose
+    medium the table [simulation] gives.
     """
     prediction = forecast_of(scene, shot, simulated=simulated)
     if prediction is None:
@@ -96,7 +97,10 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
     processing = scene.processing
     assumed = processing.expected_amplitude_m is None or processing.expected_snr_db is None
     if not simulated and scene.simulation is not None and assumed:
-        yield "  as [simulation] states; for this bench: processing.expected_amplitude_m and processing.expected_snr_db"
+        yield (
+            "  amplitude or SNR is that of [simulation]; for this bench, set processing.expected_amplitude_m and "
+            "processing.expected_snr_db"
+        )
     yield f"  {'estimator':18}{'bias':>12}{'noise':>12}{'aliasing':>12}{'speckle':>12}{'phase':>12}"
     yield from (_estimator_line(prediction, index) for index in range(len(prediction.expected)))
     if prediction.aliasing:
@@ -106,7 +110,7 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
             f"{prediction.error_m(best) * 1e9:.3g} nm"
         )
     if scene.processing.drift == "linear":
-        yield "  the noise excludes processing.drift, whose component of u is about 1.7 times as large as the noise"
+        yield "  the noise excludes processing.drift, which adds a component of about 1.7 times this noise to u"
     if target_m is not None:
         yield _target_line(prediction, target_m, scene.acquisition.gate_depth_m, scene.processing.estimator)
 
