@@ -47,14 +47,16 @@ def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, fl
 
 @functools.lru_cache(maxsize=16)
 def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
-    """Return relative standard deviations over speckle of the tracked displacement and of the echo's mean frequency.
+    """Return the relative standard deviations over speckle of (1) tracked displacement and (2) the echo's frequency.
 
-    ``resting``: beams and gate. The first is from random draws for a Gaussian motion with the widths of the force:
-    speckle's dark spots give it a heavy tail, and it repeats to about 2 / sqrt(``SPECKLE_DRAWS``). The second has a
-    closed form; it is 0 unless the estimator divides the phase by the carrier instead of the echo's own frequency.
+    ``resting``: beams and gate. (1) is from random draws (Monte Carlo) of a Gaussian motion with the widths of the
+    force. Dark spots of the speckle give it a heavy tail, and it repeats to about 2 / sqrt(``SPECKLE_DRAWS``). (2), of
+    the mean frequency, has a closed form. It is 0 unless the estimator divides the phase by the carrier instead of the
+    echo's frequency.
     """
     spec = spec_of(estimator)
-    # The first excludes the second: an estimator that divides by the carrier is drawn as one that does not.
+    # Only (2) contains the scatter of the echo's frequency: for (1), an estimator that divides by the carrier is
+    # replaced by one that divides by the echo's frequency.
     ratio_estimator = REFERENCE_ESTIMATOR if spec.by_carrier else estimator
     ratio = tracked_over_peak(resting, ratio_estimator, seeded_speckle(resting, SPECKLE_DRAWS))
     gate = TrackingGate(
