@@ -263,23 +263,25 @@ def bowl_pressure(
 ) -> ComplexArray:
     """Return the pressure of a uniformly vibrating bowl up to a factor, (axial, lateral): its Rayleigh integral.
 
-    ``lateral_m`` and ``axial_m`` count from the axis and the focus. The nodes resolve the phase k d over the bowl with
-    a margin: error 1e-6 of the pressure at the focus.
+    ``lateral_m`` and ``axial_m`` count from the axis and the focus. The nodes resolve the phase k d over the bowl (d:
+    distance from source to point) with a margin: error 1e-6 of the pressure at the focus.
     """
-    # Largest phase differences over the bowl, across and along the beam; they decide on the number of nodes.
+    # Largest phase differences over the bowl, across and along the beam. Gauss-Legendre quadrature over the rings needs
+    # half a node per radian, and a margin.
     half_angle = math.asin(diameter_m / 2 / focal_length_m)
     lateral_phase_rad = abs(wave_number_per_m) * np.abs(lateral_m).max() * math.sin(half_angle)
     axial_phase_rad = abs(wave_number_per_m) * np.abs(axial_m).max() * (1 - math.cos(half_angle))
-    node, weight = np.polynomial.legendre.leggauss(math.ceil((lateral_phase_rad + axial_phase_rad) / 2) + 16)
-    angle = half_angle * (node + 1) / 2
-    # The trapezoidal rule over a full turn converges faster than any power; symmetry needs half a turn.
-    azimuths = math.ceil((lateral_phase_rad + 6 * lateral_phase_rad ** (1 / 3)) / 2) + 10
-    azimuth = (np.arange(azimuths) + 0.5) * np.pi / azimuths
+    nodes, weights = np.polynomial.legendre.leggauss(math.ceil((lateral_phase_rad + axial_phase_rad) / 2) + 16)
+    angles = half_angle * (nodes + 1) / 2
+    # Both halves of a turn contribute equally, by symmetry. n azimuths in one half integrate Bessel orders below 2 n
+    # exactly; those of a phase x are negligible above about x + 6 x^(1/3).
+    azimuth_count = math.ceil((lateral_phase_rad + 6 * lateral_phase_rad ** (1 / 3)) / 2) + 10
+    azimuths = (np.arange(azimuth_count) + 0.5) * np.pi / azimuth_count
     # Sum over rings of the bowl of exp(-j k d) / d, with d the distance from source to point, (axial, source, lateral).
-    ring_m, height_m = focal_length_m * np.sin(angle), focal_length_m * np.cos(angle)
+    rings_m, heights_m = focal_length_m * np.sin(angles), focal_length_m * np.cos(angles)
     pressure = np.zeros((axial_m.size, lateral_m.size), np.complex128)
-    for ring, height, ring_weight in zip(ring_m, height_m, weight * ring_m, strict=True):
-        squared_radius = ring**2 + lateral_m**2 - 2 * ring * np.outer(np.cos(azimuth), lateral_m)
+    for ring, height, ring_weight in zip(rings_m, heights_m, weights * rings_m, strict=True):
+        squared_radius = ring**2 + lateral_m**2 - 2 * ring * np.outer(np.cos(azimuths), lateral_m)
         distance_m = np.sqrt(squared_radius[None] + ((height + axial_m) ** 2)[:, None, None])
         pressure += ring_weight * (np.exp(-1j * wave_number_per_m * distance_m) / distance_m).mean(axis=1)
     return pressure
