@@ -56,9 +56,10 @@ def vibrations_of_map(motion_map: MotionMap, scene: Scene) -> tuple[list[Vibrati
 
 
 def push_of_map(motion_map: MotionMap, scene: Scene, width_uncertainty: float) -> Push:
-    """Return the push of ``scene``, with the delay by the clocks as an error of its onset: all lines share both.
+    """Return the push of ``scene``; the uncertainty of its onset includes that of the delay by the clocks.
 
-    ``width_uncertainty``: relative, of the force.
+    All lines of the map share the push and this delay. ``width_uncertainty``: relative uncertainty of the widths of
+    the force.
     """
     push = push_of([scene], width_uncertainty)
     return replace(push, onset_uncertainty_s=math.hypot(push.onset_uncertainty_s, motion_map.clock_delay_u_s))
