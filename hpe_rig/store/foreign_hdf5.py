@@ -31,9 +31,10 @@ def max_bytes_of(path: Path) -> int:
 
 @contextmanager
 def open_bounded(path: Path) -> Iterator[h5py.File]:
-    """Yield the HDF5 file ``path`` of unknown origin after a check of all its objects; raises as ``objects``.
+    """Yield the HDF5 file ``path`` of unknown origin after a check of all its objects.
 
-    Also raises ``InvalidContentError`` if a dataset expands to too many bytes.
+    Raises ``InvalidContentError`` for the contents that ``objects`` refuses, and for a dataset that would decompress to
+    more bytes than ``max_bytes_of`` the file.
     """
     with h5py.File(path, "r") as file:
         for name, item in objects(file):

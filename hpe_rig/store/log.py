@@ -82,12 +82,13 @@ _ROW: Final = np.dtype(list(zip(Frame._fields, ("u1", "i4", "i8", "i8", "u4", "i
 
 @final
 class FrameIndex:
-    """Frames of a log by dataset and row or chunk."""
+    """Frames of a log, sorted so that those of a row or chunk of a dataset are found without reading all."""
 
     def __init__(self, frames: NDArray[np.void], chunk_records: int) -> None:
         """Sort ``frames``, rows of a ``Log``, in which a chunk of echoes has ``chunk_records`` records."""
-        by_chunk = np.isin(frames["number"], [_NUMBERS[name] for name in (*CODES, TRIGGER_TIMES)])
-        keys = _key(frames["number"], frames["shot"], np.where(by_chunk, frames["first"] // chunk_records, 0))
+        # ``number`` is that of the frame's dataset.
+        is_chunked = np.isin(frames["number"], [_NUMBERS[name] for name in (*CODES, TRIGGER_TIMES)])
+        keys = _key(frames["number"], frames["shot"], np.where(is_chunked, frames["first"] // chunk_records, 0))
         order = np.argsort(keys, kind="stable")
         self._keys, self._frames = keys[order], frames[order]
 

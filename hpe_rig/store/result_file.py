@@ -148,7 +148,7 @@ def _write_profile(file: h5py.File, result: Result, frequency_hz: FloatArray) ->
     """Write group ``profile`` (estimates over depth) and group ``burst_period`` (mean motion over a burst period).
 
     Rows are shots and slow-time windows, columns depths. NaN for shots without a gate at a depth. ``frequency_hz``:
-    values of the frequency axis.
+    values of the frequency axis. An entry of ``result.profile`` is the result of one gate of one shot and window.
     """
     rows = list(dict.fromkeys(_row_key(gate.shot) for gate in result.profile))
     depth_m = np.unique([gate.depth_m for gate in result.profile])

@@ -220,14 +220,16 @@ def _access_properties() -> h5p.PropFAID:
 
 
 def declared_size(path: Path) -> int:
-    """Return the length of the file that its superblock (HDF5's header) states.
+    """Return the length, bytes, that the file's HDF5 superblock declares; a shorter file has been cut off.
 
     Raises ``StoreError`` if ``path`` is no regular file, and ``InvalidContentError`` if the header is not that of a run
     file.
     """
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
-        raise StoreError(f"{path} {problem}. Try: a file written by hpe-rig run, here or with its folder's name.")
+        raise StoreError(
+            f"{path} {problem}. Try: a file written by hpe-rig run, with its folder unless it is in the current one."
+        )
     with path.open("rb") as file:
         start = file.read(END_OFFSET + 8)
     if start[: len(SIGNATURE)] != SIGNATURE:
