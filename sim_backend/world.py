@@ -362,7 +362,10 @@ class World:
         triggers: list[AcceptedTriggers] = []
 
         def digitizer(arriving: Steps) -> Emission:
-            """Return the digitizer's AUX output, and keep the triggers of each arming."""
+            """Return the signal at the digitizer's AUX output for the edges ``arriving`` at its trigger input.
+
+            The triggers accepted in each arming are appended to ``triggers``.
+            """
             emission, by_arming = self.board.respond(arriving)
             triggers.extend(by_arming)
             return emission

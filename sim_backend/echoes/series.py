@@ -184,16 +184,17 @@ class _PowerStep(NamedTuple):
 
 
 def _power_steps(terms: tuple[MultiIndex, ...]) -> list[_PowerStep]:
-    """Return, for each term of the series but the first, the multiplication that computes it from a lower term.
+    """Return, for each term of the series but the first, the lower term and the component that multiplies it.
 
-    A term has one power for each shape of the motion; the lower term has a power smaller by 1 for one shape.
+    A term is a product of powers of the motion's components, one for each spatial shape. In the lower term, the power
+    of one component is smaller by 1.
     """
     index = {powers: position for position, powers in enumerate(terms)}
     steps = []
     for powers in terms[1:]:
-        shape = next(axis for axis, power in enumerate(powers) if power)
-        lower = (*powers[:shape], powers[shape] - 1, *powers[shape + 1 :])
-        steps.append(_PowerStep(lower_term=index[lower], shape=shape, power=powers[shape]))
+        component = next(number for number, power in enumerate(powers) if power)
+        lower = (*powers[:component], powers[component] - 1, *powers[component + 1 :])
+        steps.append(_PowerStep(lower_term=index[lower], shape=component, power=powers[component]))
     return steps
 
 

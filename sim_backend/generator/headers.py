@@ -100,7 +100,10 @@ class HeaderTable(Generic[Entry]):
             yield Command(header.entry, header.channel, header.query, arguments)
 
     def _look_up(self, branch: Branch, header: str) -> _Header[Entry]:
-        """Return the entry of ``header``, which continues in ``branch``; raise ``ScpiError`` if there is none."""
+        """Return the entry of ``header``, and cache it for this ``branch``; raise ``ScpiError`` if there is none.
+
+        Without a leading ``:`` or ``*``, the header is relative to ``branch``, the path left by the preceding command.
+        """
         nodes = tuple(header.removesuffix("?").removeprefix(":").split(":"))
         if not header.startswith(("*", ":")):
             nodes = branch + nodes

@@ -103,8 +103,9 @@ class Reception:
     def _jittered(self, bursts: Bursts, stream: int, generators: int, origin_ps: int, index: int) -> Bursts:
         """Return ``bursts`` shifted by the random jitter of their triggers.
 
-        ``generators`` in series each add an independent jitter. It depends only on the onset after the master trigger's
-        edge ``origin_ps``, on the capture's number ``index`` and on ``stream``, which distinguishes trains.
+        The seed, ``stream`` (one for each train), the capture's number ``index`` and the onset relative to the master
+        trigger's edge ``origin_ps`` determine the jitter of a burst. ``generators`` in series add independent jitters,
+        so that the rms grows with the square root of their number.
         """
         rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(generators)
         stream_seed = self._settings.seed * _JITTER_STREAMS + stream
