@@ -80,7 +80,7 @@ def verify(path: Path) -> Verification:
     stored = read_run(path)
     damage = list(stored.damage)
     with open_checked(path) as checked:
-        # An HDF5 file has no ``codes``. A log has; its constant datasets are in its first frame, checked as it was read.
+        # An HDF5 file has no ``codes``. A log has; its constant datasets are in its first frame, checked at reading.
         if checked.codes is None:
             damage += _damaged_datasets(checked.file, path)
         # Bytes of a last write that was interrupted.
