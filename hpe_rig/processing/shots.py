@@ -392,13 +392,16 @@ def _drift(
     options = replace(options, prior=available_prior(scene, shot, settings.beams))
     if scene.processing.drift == "linear":
         return shot_drift(motion, selection, options)
+    drift = None
     if motion.coherent is not None:
         with suppress(ValueError):
             drift = shot_drift(motion, selection, options, max_iterations=1)
-            # A significant drift is reported with its size, which one iteration gives only roughly.
-            significant = drift.probability < settings.false_alarm
-            return shot_drift(motion, selection, options) if significant else drift
-    return None
+            # A significant drift is reported with its size, as its removal would estimate it. One iteration gives the
+            # size only roughly, and stays if the iterations diverge.
+            if drift.probability < settings.false_alarm:
+                removal = replace(options, background_order=max(options.background_order, 1))
+                drift = replace(shot_drift(motion, selection, removal), probability=drift.probability)
+    return drift
 
 
 def _line(motion: WindowMotion, selection: Selection, options: Options) -> Line | None:

@@ -40,6 +40,8 @@ MAX_ITERATIONS = 30
 """Largest number of Gauss-Newton steps of an estimate."""
 CONVERGED_U = 0.2
 """Change of every unknown in a step, in standard uncertainties, below which the estimate has converged."""
+MAX_ALTERNATION_U = 1.0
+"""Change of an unknown in the last step, in standard uncertainties, above which the estimate diverges."""
 MIN_SHRINKAGE = 0.01
 """Patterns of a prior of media with at least this shrinkage count as columns of the fit."""
 NEGLIGIBLE = 1e-3
@@ -139,8 +141,8 @@ def drift_of(
     """Return the change of a ``motion`` (pulse,) over its train, with a test of whether there is any.
 
     The harmonics are fitted by least squares or, with a ``prior`` of media, by the fit with that prior. ``also_hz``:
-    further frequencies of the motion. One iteration suffices for the test, and replaces iterations that do not converge
-    in ``max_iterations``. Raises ``ValueError`` if the fit does, and for too few pulses.
+    further frequencies of the motion. One iteration suffices for the test. Raises ``ValueError`` if the fit does, for too
+    few pulses, and if the iterations diverge.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     # ``steady`` is the motion minus the present estimate of its change, which the ``unknowns`` describe.
@@ -151,20 +153,22 @@ def drift_of(
         if iteration == 0:
             probability, harmonic_probability = _significance(products, moments, degrees)
         # Posterior of the unknowns, which have a prior variance of one.
-        previous, covariance = unknowns, np.linalg.inv(products + np.eye(unknowns.size))
-        unknowns = covariance @ moments
-        converged = np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance)))
-        if converged or iteration == max_iterations - 1:
+        previous, posterior = unknowns, np.linalg.inv(products + np.eye(unknowns.size))
+        unknowns = posterior @ moments
+        # In short trains the covariance depends on the iterate, which selects the patterns that the fit uses: the
+        # largest one after the first iteration counts.
+        if iteration < 2 or np.trace(posterior[:2, :2]) > np.trace(covariance[:2, :2]):
+            covariance = posterior
+        step_u = np.max(np.abs(unknowns - previous) / np.sqrt(np.diag(covariance)))
+        if step_u < CONVERGED_U or iteration == max_iterations - 1:
             break
         # Positions in the train run from -1 to 1. The steady motion has the phasors of the middle, position 0.
         drifting_m = harmonics.displacement_m(time_s, _positions(time_s), unknowns)
         steady_m = harmonics.displacement_m(time_s, np.zeros_like(time_s), unknowns)
         steady = replace(motion, displacement_m=motion.displacement_m - (drifting_m - steady_m))
-    if not converged and max_iterations > 1:
-        # In short trains the patterns that the fit uses can alternate with the estimate, which then diverges.
-        return drift_of(
-            motion, frequency_hz, also_hz=also_hz, background_order=background_order, prior=prior, max_iterations=1
-        )
+    # The iterates of a short train can alternate within their u, as the patterns that the fit uses do.
+    if max_iterations > 1 and step_u > MAX_ALTERNATION_U:
+        raise ValueError("the change within the train does not converge; use a longer window")
     # From the unknowns to the changes of the wanted phasors' logarithms: complex, and as real and imaginary parts.
     sensitivity = harmonics.sensitivity[: frequency_hz.size]
     real_imaginary = np.stack([sensitivity.real, sensitivity.imag], axis=1).reshape(-1, unknowns.size)
