@@ -77,7 +77,8 @@ def run(
 
                 announce(f"{write_report(path, result.estimator)}: open it in any browser")
             elif not quiet:
-                announce(f"figures: hpe-rig report {path}")
+                option = f" --estimator {result.estimator}" if result.estimator else ""
+                announce(f"figures: hpe-rig report {path}{option}")
 
 
 @measuring.command()

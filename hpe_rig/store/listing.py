@@ -242,12 +242,13 @@ def _lead(stored: StoredRun) -> Harmonic | None:
 def _harmonics(result: Mapping[str, Any], is_earlier: bool) -> Iterator[Harmonic]:
     """Yield the harmonics of a result, given as its parsed JSON: of the means over repeats, or else of trusted shots.
 
-    A value that is null in the JSON is NaN. In an earlier version (``is_earlier``) an estimate with a corrected value
-    calls its values by ``EARLIER_NAMES``.
+    Incomplete shots count only if there are no others. A value that is null in the JSON is NaN. In an earlier version
+    (``is_earlier``) an estimate with a corrected value calls its values by ``EARLIER_NAMES``.
     """
     estimator, means = str(result["estimator"]), result.get("means", ())
-    trusted = (shot for shot in result["shots"] if not shot.get("untrusted"))
-    for estimate in means or [estimate for shot in trusted for estimate in shot["estimates"]]:
+    trusted = [shot for shot in result["shots"] if not shot.get("untrusted")]
+    shots = [shot for shot in trusted if shot.get("complete", True)] or trusted
+    for estimate in means or [estimate for shot in shots for estimate in shot["estimates"]]:
         has_earlier_names = is_earlier and estimate.get("corrected_amplitude_m") is not None
         values = {name: estimate[old if has_earlier_names else name] for name, old in EARLIER_NAMES.items()}
         numbers = {name: math.nan if value is None else float(value) for name, value in values.items()}

@@ -141,12 +141,13 @@ def drift_of(
     """Return the change of a ``motion`` (pulse,) over its train, with a test of whether there is any.
 
     The harmonics are fitted by least squares or, with a ``prior`` of media, by the fit with that prior. ``also_hz``:
-    further frequencies of the motion. One iteration suffices for the test. Raises ``ValueError`` if the fit does, for too
-    few pulses, and if the iterations diverge.
+    further frequencies of the motion. One iteration suffices for the test. Raises ``ValueError`` if the fit does, for
+    too few pulses, and if the iterations diverge.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     # ``steady`` is the motion minus the present estimate of its change, which the ``unknowns`` describe.
     time_s, unknowns, steady = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion
+    covariance = np.zeros((unknowns.size, unknowns.size))
     for iteration in range(max_iterations):
         harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
         products, moments, degrees = _normal_equations(harmonics, basis, steady, unknowns)

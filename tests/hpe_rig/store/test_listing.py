@@ -144,10 +144,11 @@ def test_the_strongest_harmonic_is_of_the_means_else_of_the_shots_with_earlier_n
     assert (first.estimator, first.frequency_hz, first.amplitude_m, first.phase_rad) == ("kasai", 100.0, 1e-6, 0.1)
     assert np.isnan(second.amplitude_m)
     clipped = {"untrusted": "every record reaches full scale", "estimates": [estimate(100.0, 9e-6)]}
-    assert [item.frequency_hz for item in listing._harmonics(result | {"shots": [clipped, *shots]}, False)] == [
-        100,
-        200,
-    ]
+    incomplete = {"complete": False, "estimates": [estimate(100.0, 9e-6)]}
+    trusted = listing._harmonics(result | {"shots": [clipped, incomplete, *shots]}, False)
+    assert [item.frequency_hz for item in trusted] == [100, 200]
+    (only,) = listing._harmonics(result | {"shots": [clipped, incomplete]}, False)
+    assert only.amplitude_m == 9e-6
     (mean,) = listing._harmonics(result | {"means": [estimate(300.0, 2e-6)]}, False)
     assert mean.frequency_hz == 300.0
     early = result | {"shots": [{"estimates": [estimate(100.0, 1e-6, 3e-6), estimate(200.0, 1e-6)]}]}
