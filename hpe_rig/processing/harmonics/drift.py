@@ -147,7 +147,7 @@ def drift_of(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     # ``steady`` is the motion minus the present estimate of its change, which the ``unknowns`` describe.
     time_s, unknowns, steady = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion
-    covariance = np.zeros((unknowns.size, unknowns.size))
+    covariance: FloatArray = np.zeros((unknowns.size, unknowns.size))
     for iteration in range(max_iterations):
         harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
         products, moments, degrees = _normal_equations(harmonics, basis, steady, unknowns)
