@@ -154,7 +154,8 @@ def drift_of(
         if iteration == 0:
             probability, harmonic_probability = _significance(products, moments, degrees)
         # Posterior of the unknowns, which have a prior variance of one.
-        previous, posterior = unknowns, np.linalg.inv(products + np.eye(unknowns.size))
+        previous = unknowns
+        posterior: FloatArray = np.asarray(np.linalg.inv(products + np.eye(unknowns.size)), dtype=np.float64)
         unknowns = posterior @ moments
         # In short trains the covariance depends on the iterate, which selects the patterns that the fit uses: the
         # largest one after the first iteration counts.
