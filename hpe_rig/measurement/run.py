@@ -176,5 +176,5 @@ def _too_large(shot: Shot, records: int) -> InstrumentError:
         "digitizer",
         f"all {records} records of shot {shot.index + 1} reach full scale (+-{range_v:g} V) in the gate",
         "the echo is larger than the range, a toneburst reaches the receiver, or generators are exchanged",
-        "hpe-rig align, a larger acquisition.input_range_v or less gain, hpe-rig bench; then hpe-rig resume",
+        "hpe-rig align; less gain, then hpe-rig resume; or a new run with a larger acquisition.input_range_v",
     )

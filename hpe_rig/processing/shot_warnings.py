@@ -101,8 +101,8 @@ def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
     undetected = fit.amplitude_m < DETECTED * np.sqrt(fit.covariance[:, 0, 0])
     if undetected.any():
         yield (
-            f"not significant at {', '.join(f'{f:g}' for f in fit.frequency_hz[undetected])} Hz: the amplitude is "
-            f"below {DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
+            f"not significant at {', '.join(f'{f:g}' for f in fit.frequency_hz[undetected])} Hz: the tracked "
+            f"amplitude is below {DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
         )
     # Innovations: measured minus predicted displacement of the Kalman filter. They may exceed the predicted noise,
     # which lacks trigger jitter, so only their correlation is reported.

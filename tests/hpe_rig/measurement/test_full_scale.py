@@ -68,7 +68,7 @@ def test_full_scale_at_either_end_counts_and_only_in_the_gate(end: int) -> None:
 def test_the_command_says_what_to_change(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["run", str(scene(tmp_path, 5.0)), "--output", str(tmp_path / "run.h5")])
     assert result.exit_code == 1
-    assert "a larger acquisition.input_range_v or less gain" in result.output
+    assert "a new run with a larger acquisition.input_range_v" in result.output
     assert "holds the records that had arrived" in result.output
     # The value of clipped echoes is printed, but not as a result.
     (shot,) = open_run(tmp_path / "run.h5").estimate().shots
