@@ -90,7 +90,6 @@ def test_phases_follow_clocks_that_differ_by_more_than_stated_and_warnings_say_s
     assert not [text for text in shot.warnings if "input_range_v" in text]
 
 
-@pytest.mark.slow
 def test_clocks_of_one_reference_leave_no_row_and_no_error(tmp_path: Path) -> None:
     changes = {f"{CLOCKS}.{role}": 0.0 for role in ("master", "burst_train", "toneburst", "tracking_train")}
     changes |= {f"{CLOCKS}.{role}": 0.0 for role in ("tracking_pulser", "digitizer")} | {"excitation.burst_count": 10}

@@ -110,7 +110,6 @@ def test_the_same_scene_gives_the_same_file_bit_for_bit(prepared: Prepare, tmp_p
     assert first.read_bytes() == second.read_bytes()
 
 
-@pytest.mark.slow
 def test_another_seed_gives_another_file(prepared: Prepare, tmp_path: Path) -> None:
     first = record_run(prepared("table-1"), tmp_path / "a.h5")
     second = record_run(prepared("table-1", ("seed = 1", "seed = 2")), tmp_path / "b.h5")
@@ -196,7 +195,6 @@ def test_a_wrong_burst_rate_in_the_driver_shows_as_a_wrong_measurement(
     assert any("outside the ensemble" in warning for warning in result.shots[0].warnings)
 
 
-@pytest.mark.slow
 def test_both_estimators_agree_on_one_run(prepared: Prepare, tmp_path: Path) -> None:
     run_file = record_run(prepared("table-1", (NOISE, "")), tmp_path / "run.h5")
     coherent, paper = (process(run_file, name).shots[0].estimates[0] for name in ("coherent", "cross_spectrum"))
@@ -209,7 +207,6 @@ def test_both_estimators_agree_on_one_run(prepared: Prepare, tmp_path: Path) -> 
         assert (tmp_path / "run.cross_spectrum.h5").exists()
 
 
-@pytest.mark.slow
 def test_records_and_results_open_in_xarray_with_coordinates_and_units(measured: Measure, tmp_path: Path) -> None:
     result = measured("table-1")
     run_file = tmp_path / result.run_file

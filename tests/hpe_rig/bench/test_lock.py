@@ -133,7 +133,6 @@ def test_every_user_reaches_the_lock_of_another_one(path: Path, folder: Path) ->
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such permissions")
-@pytest.mark.slow
 def test_a_lock_that_may_only_be_read_is_respected(path: Path) -> None:
     path.touch(0o444)
     with locked([NAME]):

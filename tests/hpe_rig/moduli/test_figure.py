@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from hpe_rig.moduli.figure import moduli_figure
 from hpe_rig.moduli.vibration_model import Vibration
 
 
-@pytest.mark.slow
 def test_the_legend_of_a_high_figure_is_below_both_panels() -> None:
     frequency_hz = 100.0 * np.arange(1, 11)
     phasors = [np.exp(-frequency_hz * offset_m) * 1e-6 + 0j for offset_m in (1e-3, 2e-3)]

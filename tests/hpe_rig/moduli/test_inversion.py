@@ -121,7 +121,6 @@ def test_every_law_is_recovered_and_the_most_likely(law: str, settings: dict[str
     assert next(each for each in fits if each.law == "voigt").excluded
 
 
-@pytest.mark.slow
 def test_voigt_data_do_not_exclude_a_zener_medium_that_includes_it() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     fits, _ = compare_media(vibrations(specimen, FIVE, np.random.default_rng(4)), PUSH, ("voigt", "zener"))

@@ -39,7 +39,6 @@ def test_fields_of_an_array_of_structures_are_pulses_with_their_times(tmp_path: 
     assert "'data.rf' of (11, 1, 32): axes of length 1 are dropped" in recording.inferred
 
 
-@pytest.mark.slow
 def test_elements_of_a_cell_are_pulses(tmp_path: Path) -> None:
     cell = np.empty((PULSES, 1), object)
     cell[:, 0] = list(RF)
