@@ -77,14 +77,19 @@ class SerialServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop the server and close the terminal."""
+        """Stop the server, which closes the terminal; an answer in progress delays both."""
         os.write(self._wake_writer, b".")
         self._thread.join(timeout=CLOSING_S)
-        for descriptor in (self._server_end, self._client_end, self._wake, self._wake_writer):
-            os.close(descriptor)
 
     def _converse(self) -> None:
-        """Answer the lines on the terminal until ``close`` is called."""
+        """Answer the lines on the terminal until ``close`` is called, and close the terminal."""
+        try:
+            self._answer_lines()
+        finally:
+            for descriptor in (self._server_end, self._client_end, self._wake, self._wake_writer):
+                os.close(descriptor)
+
+    def _answer_lines(self) -> None:
         import select
 
         buffer = b""
@@ -93,8 +98,10 @@ class SerialServer:
             ready, _, _ = select.select([self._server_end, self._wake], [], [], 0.0 if b"\n" in buffer else None)
             if self._wake in ready:
                 return
-            if ready:
-                buffer = self._buffered(buffer + os.read(self._server_end, RECEIVE_BYTES))
+            # A client that discards its output empties the terminal between the two calls.
+            with suppress(BlockingIOError):
+                if ready:
+                    buffer = self._buffered(buffer + os.read(self._server_end, RECEIVE_BYTES))
             line, end, following = buffer.partition(b"\n")
             if end:
                 buffer = following

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ import pytest
 from drivers.visa import SerialSettings, VisaConnection
 from drivers.visa.resources import VisaLine
 from drivers.visa.rs232 import INPUT_BUFFER_BYTES, PacedLine
+from sim_backend.transports import lines
 from sim_backend.transports.lines import SerialServer
 from sim_backend.transports.loopback import Port
 
@@ -123,6 +125,17 @@ def test_the_reply_to_an_interrupted_probe_is_not_taken_for_the_state_of_an_outp
     assert line.read() == b"0\n"
     with pytest.raises(TimeoutError):
         line.read()
+
+
+def test_a_simulated_line_that_is_closed_during_an_answer_ends_without_an_error(scripted, monkeypatch) -> None:
+    monkeypatch.setattr(lines, "CLOSING_S", 0.01)
+    with narrow_line(scripted(), busy_s=0.2) as server:
+        terminal = os.open(server.address.removeprefix("ASRL").removesuffix("::INSTR"), os.O_RDWR | os.O_NOCTTY)
+        os.write(terminal, b"*IDN?\n")
+        os.close(terminal)
+        time.sleep(0.05)
+    # An error of the thread fails the test: its descriptors must be open until it ends.
+    server._thread.join()
 
 
 def test_switching_off_waits_for_no_probe_while_the_buffer_has_room() -> None:
