@@ -22,7 +22,7 @@ from hpe_rig.plan.shots import Shot
 from hpe_rig.scene import Scene
 
 SAME_TIME_ZERO: Final = "runs that both have an [excitation], or both none"
-"""Runs whose phases count from the same event: the remedy where two runs differ in it."""
+"""Remedy where the phases of two runs count from different events."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
     """Return the relative uncertainty of the clocks' rate before and after the fit, and its effect on the phases.
 
     The effect, rad (frequency,), is the standard uncertainty of each wanted harmonic's phase due to the rate alone. All
-    three are 0 if the fit includes a linear drift: a rate error cannot be told from a drift, which absorbs it.
+    three are 0 if the fit includes a linear drift: a drift absorbs the rate error.
     """
     prior_u = prior_rate_error(scene, clock_covariance(scene, bench), None).uncertainty
     if scene.processing.drift == "linear":

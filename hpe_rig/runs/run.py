@@ -195,7 +195,7 @@ class Run:
 
         scene, plan, findings = reprocessed(self.scene, self.bench, self.plan, values, self.path.name)
         stored, frequencies_hz = self.stored, scene.wanted_frequencies_hz
-        # The file holds true amplitudes and phases at the frequencies and the gate depth of its own scene, in order.
+        # The file holds true amplitudes and phases at the frequencies and the gate depth that it was measured with.
         same_depth = scene.acquisition.gate_depth_m == self.scene.acquisition.gate_depth_m
         if not same_depth or frequencies_hz != self.scene.wanted_frequencies_hz[: len(frequencies_hz)]:
             stored = replace(stored, true_displacement_m=None)
